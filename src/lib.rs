@@ -1,0 +1,55 @@
+//! splatprobe bakes HDR reflection probes from captured 3D Gaussian splat scenes and the meshes placed in them.
+//!
+//! # Map of the crate
+//!
+//! The modules stand in the order in which the data flows. A module imports only from modules above it in this list
+//! (`tests/layering.rs` holds the rule); [`pipeline`] is the only place that knows them all.
+//!
+//! ```text
+//! error      one error type, sorted by who must act
+//! scene      the immutable scene: Gaussians, triangles, textures, colour, spherical harmonics
+//! job        what to bake: every setting, its unit and its default
+//! ingest     files -> scene, in physical units; one file per format
+//! bvh        one tree over the boxes of Gaussians and triangles
+//! trace      radiance along rays: reference, ray, beam
+//! shade      what leaves a surface: textures, materials
+//! place      where probes stand and how far they reach
+//! bake       probes -> cubemaps, on all cores
+//! encode     cubemaps -> bytes: EXR, PNG
+//! manifest   what was baked, for engines
+//! compare    how much two images differ
+//! pipeline   the whole bake as a handful of calls
+//! ```
+//!
+//! # Conventions
+//!
+//! Canonical frame: glTF's. Right-handed, +Y up, metres; row 0 of a cube face is its top. Transforms are f64 and named
+//! `<to>_from_<from>`; geometry is stored in f32 relative to [`scene::Scene::origin`].
+
+pub mod error;
+
+pub mod scene;
+
+pub mod job;
+
+pub mod ingest;
+
+pub mod bvh;
+
+pub mod trace;
+
+pub mod shade;
+
+pub mod place;
+
+pub mod bake;
+
+pub mod encode;
+
+pub mod manifest;
+
+pub mod compare;
+
+pub mod pipeline;
+
+pub use error::{Error, Result};

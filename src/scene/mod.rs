@@ -1,0 +1,36 @@
+//! The immutable scene: Gaussians, triangles and textures in one canonical frame, ready to trace.
+
+pub mod colour;
+pub mod mesh;
+pub mod sh;
+pub mod splats;
+
+pub use colour::{DisplayRgb, LinearRgb, SplatEncoding};
+pub use mesh::Meshes;
+pub use splats::Splats;
+
+use glam::{DVec3, Vec3};
+
+/// Everything that can be seen, in the canonical frame (right-handed, +Y up, metres).
+#[derive(Debug, Default, Clone)]
+pub struct Scene {
+    /// World position, in metres, of the point that all stored f32 positions are relative to.
+    ///
+    /// It is (0, 0, 0) unless the scene lies so far from zero that f32 world coordinates would lose detail.
+    pub origin: DVec3,
+    /// The Gaussians of all splat inputs.
+    pub splats: Splats,
+    /// The triangles of all mesh inputs.
+    pub meshes: Meshes,
+    /// How the splats' colours are encoded; decides the conversion after blending.
+    pub encoding: SplatEncoding,
+    /// Linear radiance of rays that leave the scene.
+    pub background: LinearRgb,
+}
+
+impl Scene {
+    /// A world position as the offset from the scene's origin that positions are stored as.
+    pub fn relative(&self, world: DVec3) -> Vec3 {
+        (world - self.origin).as_vec3()
+    }
+}

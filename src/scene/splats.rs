@@ -1,0 +1,83 @@
+//! Gaussians as arrays, in the form that every tracer reads.
+
+use glam::{DMat3, DQuat, DVec3, Mat3, Vec3};
+
+use super::sh;
+
+/// A response below this is not a contribution (3DGS: Kerbl et al. 2023, the rasteriser's alpha test).
+pub const ALPHA_MIN: f64 = 1.0 / 255.0;
+
+/// A response is clamped to this, so that no single Gaussian is fully opaque (3DGS, same place).
+pub const ALPHA_MAX: f64 = 0.99;
+
+/// Gaussians, one entry per array element, in the canonical frame.
+///
+/// A Gaussian with mean mu, rotation R, standard deviations S responds at a point p with
+/// `opacity * exp(-|M (p - mu)|^2 / 2)` where `M = S^-1 R^T`.
+#[derive(Debug, Default, Clone)]
+pub struct Splats {
+    /// Means, in metres relative to the scene origin.
+    pub means: Vec<Vec3>,
+    /// `M = S^-1 R^T`: takes an offset from the mean, in metres, to standard deviations along the principal axes.
+    pub unit_from_world: Vec<Mat3>,
+    /// Peak opacities in [0, 1], linear (not logits).
+    pub opacities: Vec<f32>,
+    /// Highest spherical harmonics degree stored, 0 to 4.
+    pub sh_degree: u8,
+    /// Spherical harmonics coefficients: per Gaussian red, green, blue, each `(sh_degree + 1)^2` values ordered
+    /// by band and then by order m from -l to l. See [`sh`] for the basis. Colour is `max(0, 1/2 + sum)`.
+    pub sh: Vec<f32>,
+}
+
+impl Splats {
+    /// How many Gaussians there are.
+    pub fn len(&self) -> usize {
+        self.means.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.means.is_empty()
+    }
+
+    /// Coefficients per Gaussian: three channels of `(degree + 1)^2`.
+    pub fn sh_stride(&self) -> usize {
+        3 * sh::coefficient_count(self.sh_degree)
+    }
+
+    /// The coefficients of Gaussian `i`: red, green, blue, each `(degree + 1)^2` long.
+    pub fn sh_of(&self, i: usize) -> &[f32] {
+        let stride = self.sh_stride();
+        &self.sh[i * stride..(i + 1) * stride]
+    }
+
+    /// `S^-1 R^T` from a rotation and three standard deviations in metres, formed in f64.
+    pub fn unit_from_world(rotation: DQuat, standard_deviations: DVec3) -> Mat3 {
+        let rotation_transposed = DMat3::from_quat(rotation).transpose();
+        (DMat3::from_diagonal(standard_deviations.recip()) * rotation_transposed).as_mat3()
+    }
+
+    /// Squared Mahalanobis radius beyond which the Gaussian's response is under [`ALPHA_MIN`];
+    /// negative when even the peak is.
+    pub fn support_radius_squared(opacity: f32) -> f64 {
+        2.0 * (f64::from(opacity) / ALPHA_MIN).ln()
+    }
+
+    /// The covariance `R S^2 R^T` of Gaussian `i`, in square metres.
+    ///
+    /// Rows of M are `r_k / s_k` with unit r_k, so `s_k = 1 / |row_k|` and the covariance is the sum of
+    /// `row_k row_k^T / |row_k|^4`.
+    pub fn covariance(&self, i: usize) -> DMat3 {
+        let rows = self.unit_from_world[i].as_dmat3().transpose();
+        [rows.x_axis, rows.y_axis, rows.z_axis].into_iter().fold(DMat3::ZERO, |sum, row| {
+            let scaled = row / row.length_squared();
+            sum + DMat3::from_cols(scaled * scaled.x, scaled * scaled.y, scaled * scaled.z)
+        })
+    }
+
+    /// Standard deviations of Gaussian `i` along its principal axes, in metres, in stored order.
+    pub fn standard_deviations(&self, i: usize) -> DVec3 {
+        let rows = self.unit_from_world[i].as_dmat3().transpose();
+        DVec3::new(rows.x_axis.length(), rows.y_axis.length(), rows.z_axis.length()).recip()
+    }
+}

@@ -1,0 +1,55 @@
+//! What a ray gathers, and its conversion to linear light.
+
+use glam::Vec3;
+
+use crate::scene::{DisplayRgb, LinearRgb, SplatEncoding};
+
+/// Sums gathered front to back along one ray. Display-referred splats and linear surfaces stay apart, because
+/// splats are blended in their own encoding and converted once, after blending.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Radiance {
+    /// Sum of splat weights times splat colours, in the splats' encoding.
+    pub splat_sum: Vec3,
+    /// Sum of splat weights.
+    pub splat_weight: f32,
+    /// Sum of surface weights times linear surface radiance.
+    pub surface_sum: Vec3,
+    /// Sum of all weights times their distance, in metres.
+    pub distance_sum: f32,
+    /// Share of light that passes everything gathered.
+    pub transmittance: f32,
+}
+
+impl Default for Radiance {
+    fn default() -> Self {
+        Self {
+            splat_sum: Vec3::ZERO,
+            splat_weight: 0.0,
+            surface_sum: Vec3::ZERO,
+            distance_sum: 0.0,
+            transmittance: 1.0,
+        }
+    }
+}
+
+impl Radiance {
+    /// Share of the ray that ended in the scene: 1 - transmittance.
+    pub fn coverage(&self) -> f32 {
+        1.0 - self.transmittance
+    }
+
+    /// Mean distance of what was gathered, in metres; 0 where nothing was.
+    pub fn mean_distance(&self) -> f32 {
+        if self.coverage() > 0.0 { self.distance_sum / self.coverage() } else { 0.0 }
+    }
+
+    /// Linear radiance: `A_s EOTF(C_s / A_s) + sum w_j L_j + T L_background`.
+    pub fn to_linear(&self, encoding: SplatEncoding, background: LinearRgb) -> LinearRgb {
+        let splats = if self.splat_weight > 0.0 {
+            encoding.decode(DisplayRgb(self.splat_sum / self.splat_weight)).0 * self.splat_weight
+        } else {
+            Vec3::ZERO
+        };
+        LinearRgb(splats + self.surface_sum + background.0 * self.transmittance)
+    }
+}
