@@ -1,0 +1,215 @@
+//! What to bake: every setting, its unit and its default.
+//!
+//! A [`Job`] is what a job file holds and what the flags of the command line say; both have the same names.
+
+mod file;
+mod inputs;
+mod validate;
+
+use std::path::PathBuf;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+pub use inputs::{Frame, MeshInput, SplatInput, Transform, parse_numbers};
+
+/// In which order contributions along a ray are blended (OpenUSD's and KHR_gaussian_splatting's terms).
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "camelCase")]
+pub enum Order {
+    /// By the distance of the strongest response along the ray. The default.
+    #[default]
+    #[cfg_attr(feature = "cli", value(name = "rayHitDistance"))]
+    RayHitDistance,
+    /// By the distance of the Gaussian's mean from the ray's origin; triangles by their hit distance.
+    #[cfg_attr(feature = "cli", value(name = "cameraDistance"))]
+    CameraDistance,
+}
+
+/// The direction in which a Gaussian's colour is evaluated.
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
+pub enum ShDirection {
+    /// From the ray's origin to the mean, as 3DGS trains it. The default.
+    #[default]
+    Mean,
+    /// Along the ray, as 3DGRT trains it.
+    Ray,
+}
+
+/// How light leaves a mesh's surface.
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
+pub enum Surface {
+    /// Base colour as if lit evenly, plus emission; no light transport. The default.
+    #[default]
+    Unlit,
+}
+
+/// What computes the radiance along rays.
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
+pub enum Tracer {
+    /// One ray at a time through the tree. The default.
+    #[default]
+    Ray,
+    /// Every primitive for every ray in f64: the truth to measure others against. Slow.
+    Reference,
+}
+
+/// How a pixel's numbers are stored.
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
+pub enum Pixel {
+    /// 16 bit floating point, at most 65504. The default.
+    #[default]
+    Half,
+    /// 32 bit floating point.
+    Float,
+}
+
+/// How the command line tool reports a running bake, on stderr.
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
+pub enum ProgressStyle {
+    /// A bar on a terminal, plain lines elsewhere. The default.
+    #[default]
+    Auto,
+    /// Lines of text.
+    Plain,
+    /// One JSON object per line.
+    Json,
+    /// Nothing.
+    None,
+}
+
+/// Where probes stand: a grid in a box, or a list.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, rename_all = "camelCase", default)]
+pub struct Placement {
+    /// Box that the probes serve, as x0, y0, z0, x1, y1, z1 in metres, world space. A grid needs it. Default: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bounds: Option<[f64; 6]>,
+    /// How many probes stand along x, y and z, each in the middle of its cell of `bounds`. Default: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub grid: Option<[u32; 3]>,
+    /// Probe positions in metres, world space, instead of a grid. Default: none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub probes: Vec<[f64; 3]>,
+    /// Fraction, 0 to 1, of the spacing by which neighbouring influence boxes overlap. Default: 0.1.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub overlap: f64,
+}
+
+impl Default for Placement {
+    fn default() -> Self {
+        Self { bounds: None, grid: None, probes: Vec::new(), overlap: 0.1 }
+    }
+}
+
+/// A bake: what goes in, where probes stand, how they are traced, what comes out.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, rename_all = "camelCase", default)]
+pub struct Job {
+    /// Splat files; all are one scene. Default: none.
+    pub splats: Vec<SplatInput>,
+    /// glTF files placed in that scene. Default: none.
+    pub meshes: Vec<MeshInput>,
+    /// Folder that the manifest and the probes are written to; a relative path is relative to the job file. Needed;
+    /// Default: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub output: Option<PathBuf>,
+    /// Where probes stand. Default: nowhere; a grid or a list is needed.
+    pub placement: Placement,
+    /// Edge of a cube face, in pixels. Default: 256.
+    #[schemars(range(min = 1, max = 8192))]
+    pub face_size: u32,
+    /// Rays per pixel and axis: N stands for N x N rays in a regular pattern. Default: 1.
+    #[schemars(range(min = 1, max = 64))]
+    pub samples: u32,
+    /// Blending order along a ray. Default: rayHitDistance.
+    pub order: Order,
+    /// Direction in which colours of Gaussians are evaluated. Default: mean.
+    pub sh_direction: ShDirection,
+    /// A ray ends when its transmittance falls below this share; 0 follows every ray to its end. Default: 0.001.
+    #[schemars(extend("minimum" = 0, "exclusiveMaximum" = 1))]
+    pub t_cutoff: f32,
+    /// Contributions nearer than this, in metres, are ignored. Default: 0.
+    #[schemars(extend("minimum" = 0))]
+    pub t_near: f32,
+    /// How light leaves a mesh's surface. Default: unlit.
+    pub surface: Surface,
+    /// What computes the radiance along rays. Default: ray.
+    pub tracer: Tracer,
+    /// How pixels are stored. Default: half.
+    pub pixel: Pixel,
+    /// Whether a layer with the mean distance along each ray, in metres, is written. Default: false.
+    pub distance: bool,
+    /// Linear red, green, blue radiance of rays that leave the scene. Default: 0, 0, 0.
+    #[schemars(inner(range(min = 0.0)))]
+    pub background: [f32; 3],
+    /// Threads to work with; 0 is one per core. The result does not depend on it. Default: 0.
+    #[serde(skip_serializing_if = "is_default")]
+    #[schemars(range(max = 1024))]
+    pub threads: usize,
+    /// How the command line tool reports a running bake. Default: auto.
+    #[serde(skip_serializing_if = "is_default")]
+    pub progress: ProgressStyle,
+    /// File that run times and counts are written to, as JSON; a relative path is relative to the job file.
+    /// Default: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stats: Option<PathBuf>,
+}
+
+impl Default for Job {
+    fn default() -> Self {
+        Self {
+            splats: Vec::new(),
+            meshes: Vec::new(),
+            output: None,
+            placement: Placement::default(),
+            face_size: 256,
+            samples: 1,
+            order: Order::default(),
+            sh_direction: ShDirection::default(),
+            t_cutoff: 1e-3,
+            t_near: 0.0,
+            surface: Surface::default(),
+            tracer: Tracer::default(),
+            pixel: Pixel::default(),
+            distance: false,
+            background: [0.0; 3],
+            threads: 0,
+            progress: ProgressStyle::default(),
+            stats: None,
+        }
+    }
+}
+
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
+}
+
+impl Job {
+    /// The part that decides the bytes of the result: no output folder, no threads, no reporting, and of each input's
+    /// path only the file name, so that a bake's manifest does not depend on where or how it was run.
+    pub fn result_settings(&self) -> Self {
+        let mut job =
+            Self { output: None, threads: 0, progress: ProgressStyle::default(), stats: None, ..self.clone() };
+        let paths = job
+            .splats
+            .iter_mut()
+            .map(|input| &mut input.path)
+            .chain(job.meshes.iter_mut().map(|input| &mut input.path));
+        for path in paths {
+            *path = path.file_name().unwrap_or_default().into();
+        }
+        job
+    }
+}
