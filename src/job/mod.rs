@@ -12,6 +12,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use inputs::{Frame, MeshInput, SplatInput, Transform, parse_numbers};
+pub use validate::MAX_FACE_SIZE;
 
 /// In which order contributions along a ray are blended (OpenUSD's and KHR_gaussian_splatting's terms).
 #[derive(Debug, Default, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

@@ -4,7 +4,7 @@ use super::{Job, MeshInput, Placement, SplatInput, Transform};
 use crate::{Error, Result};
 
 /// Largest edge of a cube face, in pixels: a probe's six faces then take 3 GiB as half floats.
-const MAX_FACE_SIZE: u32 = 8192;
+pub const MAX_FACE_SIZE: u32 = 8192;
 
 /// Largest number of rays per pixel and axis.
 const MAX_SAMPLES: u32 = 64;

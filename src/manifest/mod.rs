@@ -1,1 +1,113 @@
-//! manifest
+//! What was baked, for engines: `manifest.json` (schemas/manifest.schema.json).
+//!
+//! The manifest holds nothing that differs between two runs of the same job: no times, no machine, no absolute path.
+
+mod model;
+mod verify;
+
+use std::io::Write;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Error, Result};
+
+pub use model::{
+    Box3, Colour, DisplayTransform, DistanceStatistics, FileFormat, FileRecord, FileRole, Frame, Influence,
+    InputRecord, Layout, Manifest, ProbeRecord, Statistics, TexelSampling,
+};
+pub use verify::verify;
+
+/// Version of the manifest's format; readers refuse others.
+pub const FORMAT_VERSION: u32 = 1;
+
+/// The manifest's name in the output folder.
+pub const FILE_NAME: &str = "manifest.json";
+
+impl Manifest {
+    /// Reads a manifest. Fails when it cannot be read, is not JSON of the schema (the error names line and column), or is
+    /// of another [`FORMAT_VERSION`].
+    pub fn read(path: &Path) -> Result<Self> {
+        #[derive(Deserialize)]
+        #[serde(rename_all = "camelCase")]
+        struct Version {
+            format_version: u32,
+        }
+        let text = std::fs::read_to_string(path).map_err(|source| Error::read(path, source))?;
+        let broken = |error: serde_json::Error| Error::invalid(path, "manifest", error.to_string());
+        // The version comes first: what else another version holds is unknown.
+        let Version { format_version } = serde_json::from_str(&text).map_err(broken)?;
+        if format_version != FORMAT_VERSION {
+            let what = format!("manifest format {format_version}; this program reads {FORMAT_VERSION}: bake again");
+            return Err(Error::unsupported(path, what));
+        }
+        serde_json::from_str(&text).map_err(broken)
+    }
+
+    /// Writes the manifest beside `path` and renames it, so that a reader never sees half of it.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        write_json(path, self)
+    }
+}
+
+/// Writes `value` as indented JSON with a final newline beside `path` and renames it.
+pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let write = || -> std::io::Result<()> {
+        let mut builder = tempfile::Builder::new();
+        // A temporary file is private by default; this one becomes an ordinary output under the user's umask.
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+        let mut file = builder.tempfile_in(folder)?;
+        let mut text = serde_json::to_vec_pretty(value)?;
+        text.push(b'\n');
+        file.write_all(&text)?;
+        file.persist(path)?;
+        Ok(())
+    };
+    write().map_err(|source| Error::write(path, source))
+}
+
+/// Size in bytes and BLAKE3 hash, in hexadecimal, of a file.
+pub fn digest(path: &Path) -> Result<(u64, String)> {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update_mmap_rayon(path).map_err(|source| Error::read(path, source))?;
+    Ok((hasher.count(), hasher.finalize().to_hex().to_string()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_manifest_of_another_version_is_refused_by_its_version() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(FILE_NAME);
+        std::fs::write(&path, r#"{"formatVersion": 2, "somethingNew": true}"#).unwrap();
+        let error = Manifest::read(&path).unwrap_err();
+        assert!(matches!(&error, Error::Unsupported { what, .. } if what.contains("format 2")), "{error}");
+    }
+
+    #[test]
+    fn a_failed_write_leaves_the_earlier_file_and_no_rest() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.json");
+        write_json(&path, &1).unwrap();
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "1\n");
+        // A map with keys that are not text is no JSON.
+        let unwritable = std::collections::BTreeMap::from([([0], 0)]);
+        assert!(matches!(write_json(&path, &unwritable), Err(Error::Write { .. })));
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "1\n");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn the_digest_is_blake3s_of_the_content() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("empty");
+        std::fs::write(&path, "").unwrap();
+        // The empty input's hash, from the BLAKE3 specification's test vectors.
+        let expected = "af1349b9f5f9a1a6a0404dea36dcc9499bcb25c9adc112b7cc9a93cae41f3262";
+        assert_eq!(digest(&path).unwrap(), (0, expected.into()));
+    }
+}
