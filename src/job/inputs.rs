@@ -25,6 +25,13 @@ pub struct SplatInput {
     pub encoding: Option<SplatEncoding>,
 }
 
+impl SplatInput {
+    /// A file as its format declares it, standing where it says.
+    pub fn new(path: impl Into<PathBuf>) -> Self {
+        Self { path: path.into(), frame: None, transform: Transform::default(), encoding: None }
+    }
+}
+
 /// A glTF file and how it stands in the world.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, rename_all = "camelCase")]
@@ -37,6 +44,13 @@ pub struct MeshInput {
     /// Name or index of the scene in the file. Default: the file's default scene.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scene: Option<String>,
+}
+
+impl MeshInput {
+    /// A file's default scene, standing where it says.
+    pub fn new(path: impl Into<PathBuf>) -> Self {
+        Self { path: path.into(), transform: Transform::default(), scene: None }
+    }
 }
 
 /// Translation, rotation and scale, applied scale first.

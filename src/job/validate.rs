@@ -155,8 +155,7 @@ mod tests {
 
     /// A job that is right, changed by `change`.
     fn job_with(change: impl FnOnce(&mut Job)) -> Job {
-        let splats =
-            vec![SplatInput { path: "a.ply".into(), frame: None, transform: Transform::default(), encoding: None }];
+        let splats = vec![SplatInput::new("a.ply")];
         let placement =
             Placement { bounds: Some([0.0, 0.0, 0.0, 4.0, 2.0, 4.0]), grid: Some([2, 1, 2]), ..Placement::default() };
         let mut job = Job { splats, placement, output: Some("out".into()), ..Job::default() };

@@ -11,7 +11,7 @@ use exr::prelude::SampleType;
 use half::f16;
 
 use super::{FileRecord, Manifest, digest};
-use crate::job::{MAX_FACE_SIZE, Pixel};
+use crate::job::MAX_FACE_SIZE;
 use crate::{Error, Result};
 
 /// Checks every file that the manifest at `path` lists: presence, size, hash, and that it opens with the declared size and
@@ -123,7 +123,7 @@ mod tests {
     use exr::prelude::*;
 
     use super::*;
-    use crate::job::Job;
+    use crate::job::{Job, Pixel};
     use crate::manifest::{
         Box3, FILE_NAME, FileFormat, FileRole, Influence, Layout, ProbeRecord, Statistics, TexelSampling,
     };

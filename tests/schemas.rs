@@ -1,0 +1,71 @@
+//! The committed schemas are those of the types, and an example job is valid by them.
+//!
+//! `BLESS=1 cargo test --test schemas` writes them anew.
+
+use std::path::PathBuf;
+
+use schemars::Schema;
+use serde_json::{Value, json};
+use splatprobe::job::Job;
+use splatprobe::manifest::Manifest;
+
+fn check(name: &str, schema: Schema) {
+    let path: PathBuf = [env!("CARGO_MANIFEST_DIR"), "schemas", name].iter().collect();
+    let text = format!("{:#}\n", schema.as_value());
+    if std::env::var_os("BLESS").is_some() {
+        std::fs::write(&path, &text).unwrap();
+    }
+    let committed = std::fs::read_to_string(&path).unwrap();
+    assert!(committed == text, "{} is out of date: run BLESS=1 cargo test --test schemas", path.display());
+}
+
+#[test]
+fn committed_schemas_are_those_of_the_types() {
+    check("job.schema.json", schemars::schema_for!(Job));
+    check("manifest.schema.json", schemars::schema_for!(Manifest));
+}
+
+#[test]
+fn a_job_with_every_field_is_valid_by_the_schema_and_a_wrong_one_is_not() {
+    let validator = jsonschema::validator_for(schemars::schema_for!(Job).as_value()).unwrap();
+    let job = json!({
+        "splats": [{"path": "room.ply", "frame": "rdf", "transform": {"translation": [0, 1.5, 0]}, "encoding": "srgb-display"}],
+        "meshes": [{"path": "chair.glb", "transform": {"rotation": [0, 1, 0, 0], "scale": [2, 2, 2]}, "scene": "Main"}],
+        "output": "out",
+        "placement": {"bounds": [-4, 0, -4, 4, 3, 4], "grid": [3, 1, 3], "probes": [], "overlap": 0.1},
+        "faceSize": 256, "samples": 1, "order": "rayHitDistance", "shDirection": "mean", "tCutoff": 0.001, "tNear": 0,
+        "surface": "unlit", "tracer": "ray", "pixel": "half", "distance": true, "background": [0, 0, 0],
+        "threads": 2, "progress": "plain", "stats": "stats.json"
+    });
+    validator.validate(&job).unwrap();
+    serde_json::from_value::<Job>(job.clone()).unwrap().validate().unwrap();
+
+    let wrong = [
+        ("faceSize", json!(0)),
+        ("faceSize", json!(8193)),
+        ("tCutoff", json!(1)),
+        ("background", json!([0, 0, -1])),
+        ("tracer", json!("guess")),
+        ("splats", json!([{"path": "a.ply", "frame": "right"}])),
+        ("unknown", json!(1)),
+    ];
+    for (field, value) in wrong {
+        let mut job = job.clone();
+        job[field] = value;
+        assert!(!validator.is_valid(&job), "{field}: {}", job[field]);
+    }
+}
+
+#[test]
+fn every_setting_of_a_job_states_its_default() {
+    let schema = schemars::schema_for!(Job);
+    let described = |fields: &Value| {
+        fields.as_object().unwrap().iter().for_each(|(name, field)| {
+            let description = field["description"].as_str().unwrap_or_default();
+            assert!(description.contains("Default:"), "{name}: {description}");
+        });
+    };
+    described(&schema.as_value()["properties"]);
+    described(&schema.as_value()["$defs"]["Placement"]["properties"]);
+    described(&schema.as_value()["$defs"]["Transform"]["properties"]);
+}
