@@ -80,4 +80,40 @@ impl Splats {
         let rows = self.unit_from_world[i].as_dmat3().transpose();
         DVec3::new(rows.x_axis.length(), rows.y_axis.length(), rows.z_axis.length()).recip()
     }
+
+    /// Puts the Gaussians in `order`: element k becomes what was element `order[k]`.
+    ///
+    /// `order` must be a permutation. Arrays move one after another and in place, so that no second copy of the
+    /// colours, the largest of them, ever exists.
+    pub fn reorder(&mut self, order: &[u32]) {
+        let stride = self.sh_stride();
+        permute(&mut self.means, 1, order);
+        permute(&mut self.unit_from_world, 1, order);
+        permute(&mut self.opacities, 1, order);
+        permute(&mut self.sh, stride, order);
+    }
+}
+
+/// Permutes runs of `stride` elements in place, following each cycle of `order` once.
+fn permute<T: Copy>(values: &mut [T], stride: usize, order: &[u32]) {
+    let mut moved = vec![false; order.len()];
+    let mut held = Vec::with_capacity(stride);
+    for start in 0..order.len() {
+        if moved[start] {
+            continue;
+        }
+        held.clear();
+        held.extend_from_slice(&values[start * stride..(start + 1) * stride]);
+        let mut hole = start;
+        loop {
+            moved[hole] = true;
+            let source = order[hole] as usize;
+            if source == start {
+                values[hole * stride..(hole + 1) * stride].copy_from_slice(&held);
+                break;
+            }
+            values.copy_within(source * stride..(source + 1) * stride, hole * stride);
+            hole = source;
+        }
+    }
 }
