@@ -1,8 +1,10 @@
 //! Radiance along rays: one model, three tracers.
 
+pub mod beam;
 pub mod composite;
 pub mod cube;
 pub mod gaussian;
+pub mod level;
 pub mod ray;
 pub mod reference;
 pub mod triangle;
@@ -12,8 +14,10 @@ use glam::{DVec3, Vec2};
 use crate::job::{Order, ShDirection};
 use crate::scene::LinearRgb;
 
+pub use beam::BeamTracer;
 pub use composite::Radiance;
 pub use cube::Face;
+pub use level::Level;
 pub use ray::RayTracer;
 pub use reference::ReferenceTracer;
 
