@@ -320,7 +320,8 @@ mod tests {
     #[test]
     fn each_defect_is_dropped_for_its_own_reason() {
         let map = WorldFromFile::new("transform", Frame::RDF, &Transform::default(), 1).expect("regular");
-        let defects: [(Reason, fn(&mut FileGaussian)); 12] = [
+        type Spoil = fn(&mut FileGaussian);
+        let defects: [(Reason, Spoil); 12] = [
             (Reason::NonFinite, |g| g.mean.y = f64::NAN),
             (Reason::NonFinite, |g| g.mean.x = 1e19),
             (Reason::NonFinite, |g| g.rotation.w = f64::INFINITY),

@@ -24,8 +24,8 @@ pub struct Builder {
     pub line_end: &'static str,
     pub others: Others,
     /// Name and type of each column of the vertices.
-    columns: Vec<(String, &'static str)>,
-    rows: Vec<Vec<f64>>,
+    pub columns: Vec<(String, &'static str)>,
+    pub rows: Vec<Vec<f64>>,
 }
 
 /// `rows` Gaussians of `degree`, all usable, with floats in the order of the original trainer.
