@@ -73,8 +73,9 @@ pub struct Transform {
     pub translation: [f64; 3],
     /// Unit quaternion x, y, z, w.
     pub rotation: [f64; 4],
-    /// Factors along x, y, z; negative mirrors. Splats take uniform scale and mirrors exactly; so does a non-uniform
-    /// one, because a Gaussian stays a Gaussian under any linear map.
+    /// Factors along x, y, z; negative mirrors, 0 is an error. Splats keep their exact shape under all of them, because a
+    /// Gaussian stays a Gaussian under any linear map. Their colours follow uniform scale and mirrors exactly, and the
+    /// nearest rotation or mirror under non-uniform scale.
     pub scale: [f64; 3],
 }
 
