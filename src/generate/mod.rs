@@ -35,9 +35,9 @@ pub struct InteriorSettings {
 }
 
 impl Default for InteriorSettings {
-    /// A captured flat of 12 rooms: 1.5 million Gaussians of degree 3.
+    /// A captured floor of 16 rooms: 1.5 million Gaussians of degree 3.
     fn default() -> Self {
-        Self { gaussians: 1_500_000, rooms: [4, 3], sh_degree: 3, seed: 1, gaussian_size: 1.0 }
+        Self { gaussians: 1_500_000, rooms: [4, 4], sh_degree: 3, seed: 1, gaussian_size: 1.0 }
     }
 }
 
@@ -184,7 +184,7 @@ fn cover(part: &Part, lamp: &Lamp, within: usize, gaussian_size: f64, random: &m
             let at = (share * size).clamp(DVec2::splat(largest), size - largest);
             let depth = -0.008 * random.normal().abs();
             let turn = DQuat::from_rotation_z(random.range(0.0, TAU));
-            let tilt = DQuat::from_scaled_axis(random.normal3() * 0.04);
+            let tilt = DQuat::from_scaled_axis(random.normal3() * 0.015);
             let mean = corner + right * at.x + up * at.y + normal * depth;
             let paint = part.paint.colour(at, size, random);
             let colour = if part.paint.shines() { paint } else { paint * lamp.shade(mean, normal) };

@@ -92,7 +92,7 @@ impl Lamp {
         let distance = to_lamp.length().max(0.1);
         // Wrapped cosine: light bounces around a room, so that nothing is black.
         let facing = 0.5 + 0.5 * normal.dot(to_lamp / distance);
-        DVec3::splat(0.4) + self.tint * (0.9 * facing / (1.0 + distance * distance / 9.0))
+        DVec3::splat(0.45) + self.tint * (1.0 * facing / (1.0 + distance * distance / 9.0))
     }
 
     /// Direction from a viewer to `point` in which a glossy surface shows the lamp.

@@ -75,7 +75,7 @@ impl Building {
 
         // Hues a golden section apart differ for any number of rooms.
         let hue = (0.05 + 0.618_034 * room as f64 + (seed % 97) as f64 / 97.0).fract();
-        let wall = from_hue(hue, 0.45, 0.75);
+        let wall = from_hue(hue, 0.5, 0.8);
         let accent = from_hue(hue + 0.45, 0.7, 0.7);
         self.lamps.push(Lamp {
             position: DVec3::new(centre.x, high.y - 0.45, centre.z),
@@ -111,7 +111,7 @@ impl Building {
                 }
             } else {
                 self.rectangle(origin, [right * length, DVec3::Y * h], paint, room, 1.0);
-                let inward = right.cross(DVec3::Y) * 0.02;
+                let inward = right.cross(DVec3::Y) * 0.03;
                 if random.unit() < 0.6 {
                     let middle = origin + inward + right * (length / 2.0 - 0.85) + DVec3::Y * 0.95;
                     self.rectangle(middle, [right * 1.7, DVec3::Y * 1.2], Paint::Window, room, 0.6);
@@ -204,7 +204,7 @@ impl Building {
             room,
             grain: 1.0,
             opacity: 0.15,
-            weight: 0.03 * w * h * d,
+            weight: 0.015 * w * h * d,
         };
         self.parts.push(air);
     }
