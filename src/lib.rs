@@ -8,6 +8,7 @@
 //! ```text
 //! error      one error type, sorted by who must act
 //! scene      the immutable scene: Gaussians, triangles, textures, colour, spherical harmonics
+//! generate   scenes made by rule, for tests and benches
 //! job        what to bake: every setting, its unit and its default
 //! ingest     files -> scene, in physical units; one file per format
 //! bvh        one tree over the boxes of Gaussians and triangles
@@ -29,6 +30,8 @@
 pub mod error;
 
 pub mod scene;
+
+pub mod generate;
 
 pub mod job;
 

@@ -1,1 +1,100 @@
-//! bvh
+//! One tree over the boxes of Gaussians and triangles.
+//!
+//! obvhs builds a binary tree (PLOC, Meister and Bittner 2018, with parallel reinsertion, 2022) over small clusters of
+//! neighbouring primitives; [`build`] widens it to eight children per node, the shape that SIMD traversal wants, and
+//! sorts the scene's primitives so that every leaf is a contiguous range. Tracers walk [`WideNode`]s themselves: a
+//! probe's beam and a single ray need different orders, and obvhs's own traversal ignores a ray's near end.
+
+mod boxes;
+mod build;
+
+pub use boxes::{Box3, gaussian_box};
+
+/// Children per node, and most primitives per leaf.
+pub const WIDTH: usize = 8;
+
+/// The tree. Leaves refer to ranges of [`crate::scene::Splats`] and [`crate::scene::Meshes::triangles`], which
+/// [`Bvh::build`] has put in leaf order.
+#[derive(Debug, Default)]
+pub struct Bvh {
+    /// Nodes; the root is the first. Empty for an empty scene.
+    pub nodes: Vec<WideNode>,
+}
+
+/// Eight boxes side by side, lane by lane, in metres relative to the scene origin.
+#[derive(Debug, Clone, Copy)]
+#[repr(C, align(64))]
+pub struct WideNode {
+    /// Lower corners: x, y, z, each for all children. Positive infinity where there is no child.
+    pub min: [[f32; WIDTH]; 3],
+    /// Upper corners; negative infinity where there is no child.
+    pub max: [[f32; WIDTH]; 3],
+    /// First node or first primitive of each child.
+    first: [u32; WIDTH],
+    /// What each child is: see [`WideNode::child`].
+    kind: [u8; WIDTH],
+}
+
+/// What is under one lane of a [`WideNode`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Child {
+    /// An inner node, by index.
+    Node(u32),
+    /// Gaussians `first .. first + count`.
+    Gaussians {
+        /// First Gaussian.
+        first: u32,
+        /// How many, 1 to [`WIDTH`].
+        count: u32,
+    },
+    /// Triangles `first .. first + count`.
+    Triangles {
+        /// First triangle.
+        first: u32,
+        /// How many, 1 to [`WIDTH`].
+        count: u32,
+    },
+}
+
+/// `kind` of an inner node; a leaf of Gaussians holds its count, a leaf of triangles its count and this bit.
+const KIND_NODE: u8 = 0;
+const KIND_TRIANGLES: u8 = 0x80;
+
+impl WideNode {
+    const EMPTY: Self = Self {
+        min: [[f32::INFINITY; WIDTH]; 3],
+        max: [[f32::NEG_INFINITY; WIDTH]; 3],
+        first: [0; WIDTH],
+        kind: [KIND_NODE; WIDTH],
+    };
+
+    /// The child in `lane`. Meaningful only where the lane's box is not empty.
+    #[inline]
+    pub fn child(&self, lane: usize) -> Child {
+        let (first, kind) = (self.first[lane], self.kind[lane]);
+        match kind {
+            KIND_NODE => Child::Node(first),
+            _ if kind & KIND_TRIANGLES != 0 => Child::Triangles { first, count: u32::from(kind & !KIND_TRIANGLES) },
+            _ => Child::Gaussians { first, count: u32::from(kind) },
+        }
+    }
+
+    /// The box in `lane`, or `None` where there is no child.
+    pub fn lane_box(&self, lane: usize) -> Option<Box3> {
+        let corner = |corners: &[[f32; WIDTH]; 3]| glam::Vec3::from_array(corners.map(|axis| axis[lane]));
+        let lane_box = Box3 { min: corner(&self.min), max: corner(&self.max) };
+        (lane_box.min.x <= lane_box.max.x).then_some(lane_box)
+    }
+
+    fn set(&mut self, lane: usize, child_box: Box3, child: Child) {
+        for axis in 0..3 {
+            self.min[axis][lane] = child_box.min[axis];
+            self.max[axis][lane] = child_box.max[axis];
+        }
+        (self.first[lane], self.kind[lane]) = match child {
+            Child::Node(index) => (index, KIND_NODE),
+            Child::Gaussians { first, count } => (first, count as u8),
+            Child::Triangles { first, count } => (first, count as u8 | KIND_TRIANGLES),
+        };
+    }
+}

@@ -1,1 +1,219 @@
-//! ingest
+//! Files -> scene, in physical units and the canonical frame. One file per format; the format is known by content.
+
+mod gather;
+mod ply;
+mod report;
+mod sanitize;
+
+use std::fs::File;
+use std::path::Path;
+
+use glam::DVec3;
+use memmap2::Mmap;
+
+use self::gather::Gathering;
+use self::ply::Ply;
+use self::report::Statistics;
+use self::sanitize::WorldFromFile;
+use crate::error::{Error, Result};
+use crate::job::{MeshInput, SplatInput, Transform};
+use crate::scene::bounds::{Bounds, robust_bounds};
+use crate::scene::{Scene, SplatEncoding, Splats};
+
+pub use report::{Quantiles, SceneReport, SplatReport};
+pub use sanitize::Dropped;
+
+/// Gaussians decoded at a time by one thread.
+const CHUNK: usize = 4096;
+
+/// Reads all inputs into one scene; the report lists them in order.
+///
+/// # Errors
+/// [`Error::Read`] when a file cannot be read, [`Error::Invalid`] or [`Error::Unsupported`] when its content cannot be
+/// used, [`Error::Request`] when inputs do not fit together or a transform is singular.
+pub fn load_scene(splats: &[SplatInput], meshes: &[MeshInput]) -> Result<(Scene, SceneReport)> {
+    let loaded = load_splats(splats)?;
+    if let Some(mesh) = meshes.first() {
+        return Err(Error::unsupported(&mesh.path, "mesh inputs"));
+    }
+    let scene = Scene { origin: loaded.origin, splats: loaded.splats, encoding: loaded.encoding, ..Scene::default() };
+    Ok((scene, SceneReport { splats: loaded.reports }))
+}
+
+/// What is in the splat file at `path`, understood with the format's defaults. Errors as in [`load_scene`].
+pub fn inspect_splats(path: &Path) -> Result<SplatReport> {
+    let input = SplatInput { path: path.into(), frame: None, transform: Transform::default(), encoding: None };
+    load_splats(&[input])?.reports.pop().ok_or_else(|| Error::invalid(path, "file", "nothing was loaded"))
+}
+
+/// All splat inputs, merged.
+struct LoadedSplats {
+    /// World position, in metres, that the Gaussians' means are relative to.
+    origin: DVec3,
+    splats: Splats,
+    encoding: SplatEncoding,
+    reports: Vec<SplatReport>,
+}
+
+fn load_splats(inputs: &[SplatInput]) -> Result<LoadedSplats> {
+    let encoding = common_encoding(inputs)?;
+    let mut opened = Vec::with_capacity(inputs.len());
+    for (i, input) in inputs.iter().enumerate() {
+        let file = open(&input.path)?;
+        let frame = input.frame.unwrap_or(ply::FRAME);
+        let field = format!("splats[{i}].transform");
+        let world_from_file = WorldFromFile::new(&field, frame, &input.transform, file.sh_degree())?;
+        opened.push((input, file, frame, world_from_file));
+    }
+    let origin = match opened.first() {
+        Some((_, file, _, world_from_file)) => scene_origin(file, world_from_file)?,
+        None => DVec3::ZERO,
+    };
+    let count = opened.iter().map(|(_, file, ..)| file.count()).sum();
+    let stored_degree = opened.iter().map(|(_, file, ..)| file.sh_degree()).max().unwrap_or(0);
+    let mut gathering = Gathering::new(count, stored_degree);
+    let mut gathered = Vec::with_capacity(opened.len());
+    for (_, file, _, world_from_file) in &opened {
+        gathered.push(gathering.append(file, world_from_file, origin)?);
+    }
+    let splats = gathering.finish(gathered.iter().map(|part| part.sh_degree_used).max().unwrap_or(0));
+
+    let mut reports = Vec::with_capacity(opened.len());
+    for ((input, file, frame, _), part) in opened.iter().zip(gathered) {
+        let kept = part.range.len() as u64;
+        let statistics = Statistics::of(&splats, part.range, origin).ok_or_else(|| {
+            Error::invalid(&input.path, "all Gaussians", format!("none can be used: {:?}", part.dropped))
+        })?;
+        reports.push(SplatReport {
+            path: input.path.clone(),
+            format: file.format(),
+            count: file.count() as u64,
+            kept,
+            dropped: part.dropped,
+            sh_degree: file.sh_degree(),
+            sh_degree_used: part.sh_degree_used,
+            encoding,
+            frame: *frame,
+            bounds: statistics.bounds,
+            robust_bounds: statistics.robust_bounds,
+            opacity: statistics.opacity,
+            scale: statistics.scale,
+        });
+    }
+    Ok(LoadedSplats { origin, splats, encoding, reports })
+}
+
+/// The one encoding of all inputs: they are blended together, before any conversion.
+fn common_encoding(inputs: &[SplatInput]) -> Result<SplatEncoding> {
+    let encoding = |input: &SplatInput| input.encoding.unwrap_or(ply::ENCODING);
+    let first = inputs.first().map(encoding).unwrap_or_default();
+    match inputs.iter().position(|input| encoding(input) != first) {
+        None => Ok(first),
+        Some(i) => {
+            let why = format!(
+                "{} differs from {} of {}; Gaussians are blended in their encoding, so that all splat inputs must share one",
+                serde_json::json!(encoding(&inputs[i])),
+                serde_json::json!(first),
+                inputs[0].path.display()
+            );
+            Err(Error::request(format!("splats[{i}].encoding"), why))
+        }
+    }
+}
+
+/// Zero, unless the first splat input lies so far from it that f32 world coordinates would lose detail: more than 64
+/// times its extent. Then its centre, rounded to a power of two, so that f32 offsets from it stay exact.
+fn scene_origin(file: &Ply, world_from_file: &WorldFromFile) -> Result<DVec3> {
+    /// As many chunks, evenly spaced, tell where a file lies.
+    const CHUNKS: usize = 16;
+    let chunks = file.count().div_ceil(CHUNK);
+    let mut means = Vec::new();
+    for chunk in (0..chunks).step_by(chunks.div_ceil(CHUNKS)) {
+        file.for_each_in_chunk(chunk, |gaussian| {
+            let mean = world_from_file.position(gaussian.mean);
+            if mean.abs().max_element() <= sanitize::LIMIT {
+                means.push(mean);
+            }
+        })?;
+    }
+    // Relative to one of them: f32 would merge far points.
+    let Some(&anchor) = means.first() else { return Ok(DVec3::ZERO) };
+    let offsets: Vec<_> = means.iter().map(|&mean| (mean - anchor).as_vec3()).collect();
+    Ok(robust_bounds(&offsets).map_or(DVec3::ZERO, |bounds| origin_for(bounds.translated(anchor))))
+}
+
+/// The scene origin for a scene that fills `bounds`, in world metres.
+fn origin_for(bounds: Bounds) -> DVec3 {
+    // A scene's Gaussians have a size themselves: one metre is taken as the least extent.
+    let extent = bounds.extent().max_element().max(1.0);
+    let nearest = DVec3::ZERO.clamp(bounds.min, bounds.max);
+    if nearest.length() <= 64.0 * extent {
+        return DVec3::ZERO;
+    }
+    let unit = extent.log2().floor().exp2();
+    (bounds.centre() / unit).round() * unit
+}
+
+/// Opens a splat file of whichever supported format its first bytes show.
+fn open(path: &Path) -> Result<Ply> {
+    let bytes = map(path)?;
+    if bytes.starts_with(ply::MAGIC) {
+        return Ply::open(path, bytes);
+    }
+    const ADVICE: &str = "supported splat format: PLY as 3DGS training writes it";
+    let known: [(&[u8], &str); 7] = [
+        (b"\x1f\x8b", "gzip data (.spz up to version 3)"),
+        (b"NGSP", ".spz version 4"),
+        (b"PK\x03\x04", "a zip archive (.sog or .usdz)"),
+        (b"glTF", "binary glTF"),
+        (b"PXR-USDC", "binary USD"),
+        (b"#usda", "text USD"),
+        (b"{", "JSON (glTF or streamed SOG)"),
+    ];
+    match known.iter().find(|(magic, _)| bytes.starts_with(magic)) {
+        Some((_, name)) => Err(Error::unsupported(path, format!("{name} as a splat input; {ADVICE}"))),
+        None => {
+            let shown = bytes[..bytes.len().min(16)].escape_ascii();
+            Err(Error::invalid(path, "byte 0", format!("unknown format, begins with '{shown}'; {ADVICE}")))
+        }
+    }
+}
+
+/// Maps a regular file into memory.
+fn map(path: &Path) -> Result<Mmap> {
+    let read = |source| Error::read(path, source);
+    // Asked first, because opening a pipe may wait for ever.
+    let metadata = std::fs::metadata(path).map_err(read)?;
+    if !metadata.is_file() {
+        return Err(read(std::io::Error::other("not a regular file")));
+    }
+    if metadata.len() == 0 {
+        return Err(Error::invalid(path, "byte 0", "the file is empty"));
+    }
+    let file = File::open(path).map_err(read)?;
+    // SAFETY: the map is read-only and its bytes are only ever taken as numbers, for which any value is valid. Inputs must
+    // not be shortened while they are read, as for every program that maps its inputs; the manual says so.
+    unsafe { Mmap::map(&file) }.map_err(read)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn bounds(min: [f64; 3], max: [f64; 3]) -> Bounds {
+        Bounds { min: min.into(), max: max.into() }
+    }
+
+    #[test]
+    fn origin_stays_zero_unless_the_scene_is_64_extents_away() {
+        assert_eq!(origin_for(bounds([600.0, 0.0, 0.0], [610.0, 1.0, 1.0])), DVec3::ZERO);
+        assert_eq!(origin_for(bounds([-1.0; 3], [1e9; 3])), DVec3::ZERO);
+        assert_eq!(origin_for(bounds([63.0, 0.0, 0.0], [63.0, 0.0, 0.0])), DVec3::ZERO);
+    }
+
+    #[test]
+    fn far_origin_is_the_centre_rounded_to_a_power_of_two_below_the_extent() {
+        let origin = origin_for(bounds([4_000_000.3, 0.0, 700.0], [4_000_010.3, 2.0, 701.0]));
+        assert_eq!(origin, DVec3::new(4_000_008.0, 0.0, 704.0));
+    }
+}

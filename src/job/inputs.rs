@@ -61,9 +61,9 @@ pub struct Transform {
     pub translation: [f64; 3],
     /// Unit quaternion x, y, z, w. Default: 0, 0, 0, 1.
     pub rotation: [f64; 4],
-    /// Factors along x, y, z; negative mirrors. Default: 1, 1, 1.
-    ///
-    /// Splats take any of them exactly, because a Gaussian stays a Gaussian under any linear map.
+    /// Factors along x, y, z; negative mirrors, 0 is an error. Splats keep their exact shape under all of them, because a
+    /// Gaussian stays a Gaussian under any linear map. Their colours follow uniform scale and mirrors exactly, and the
+    /// nearest rotation or mirror under non-uniform scale. Default: 1, 1, 1.
     pub scale: [f64; 3],
 }
 

@@ -135,4 +135,10 @@ impl Meshes {
     pub fn material_of(&self, i: usize) -> &Material {
         &self.materials[self.triangle_materials[i] as usize]
     }
+
+    /// Puts the triangles in `order`: element k becomes what was element `order[k]`. `order` must be a permutation.
+    pub fn reorder_triangles(&mut self, order: &[u32]) {
+        self.triangles = order.iter().map(|&i| self.triangles[i as usize]).collect();
+        self.triangle_materials = order.iter().map(|&i| self.triangle_materials[i as usize]).collect();
+    }
 }

@@ -1,10 +1,12 @@
 //! The immutable scene: Gaussians, triangles and textures in one canonical frame, ready to trace.
 
+pub mod bounds;
 pub mod colour;
 pub mod mesh;
 pub mod sh;
 pub mod splats;
 
+pub use bounds::Bounds;
 pub use colour::{DisplayRgb, LinearRgb, SplatEncoding};
 pub use mesh::Meshes;
 pub use splats::Splats;

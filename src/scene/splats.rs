@@ -57,6 +57,27 @@ impl Splats {
         (DMat3::from_diagonal(standard_deviations.recip()) * rotation_transposed).as_mat3()
     }
 
+    /// `S^-1 R^T` from the principal axes: columns that are orthogonal to each other, as long as their standard deviation
+    /// in metres. They may be left-handed. Formed in f64.
+    pub fn unit_from_axes(axes: DMat3) -> Mat3 {
+        let unit = |axis: DVec3| axis / axis.length_squared();
+        DMat3::from_cols(unit(axes.x_axis), unit(axes.y_axis), unit(axes.z_axis)).transpose().as_mat3()
+    }
+
+    /// Keeps only the bands up to `degree` (at most [`Self::sh_degree`]) and gives the memory of the others back.
+    pub fn lower_sh_degree(&mut self, degree: u8) {
+        let (stored, kept) = (sh::coefficient_count(self.sh_degree), sh::coefficient_count(degree));
+        if kept == stored {
+            return;
+        }
+        for channel in 0..3 * self.len() {
+            self.sh.copy_within(channel * stored..channel * stored + kept, channel * kept);
+        }
+        self.sh.truncate(3 * self.len() * kept);
+        self.sh.shrink_to_fit();
+        self.sh_degree = degree;
+    }
+
     /// Squared Mahalanobis radius beyond which the Gaussian's response is under [`ALPHA_MIN`];
     /// negative when even the peak is.
     pub fn support_radius_squared(opacity: f32) -> f64 {
@@ -79,5 +100,64 @@ impl Splats {
     pub fn standard_deviations(&self, i: usize) -> DVec3 {
         let rows = self.unit_from_world[i].as_dmat3().transpose();
         DVec3::new(rows.x_axis.length(), rows.y_axis.length(), rows.z_axis.length()).recip()
+    }
+
+    /// Puts the Gaussians in `order`: element k becomes what was element `order[k]`.
+    ///
+    /// `order` must be a permutation. Arrays move one after another and in place, so that no second copy of the
+    /// colours, the largest of them, ever exists.
+    pub fn reorder(&mut self, order: &[u32]) {
+        let stride = self.sh_stride();
+        permute(&mut self.means, 1, order);
+        permute(&mut self.unit_from_world, 1, order);
+        permute(&mut self.opacities, 1, order);
+        permute(&mut self.sh, stride, order);
+    }
+}
+
+/// Permutes runs of `stride` elements in place, following each cycle of `order` once.
+fn permute<T: Copy>(values: &mut [T], stride: usize, order: &[u32]) {
+    let mut moved = vec![false; order.len()];
+    let mut held = Vec::with_capacity(stride);
+    for start in 0..order.len() {
+        if moved[start] {
+            continue;
+        }
+        held.clear();
+        held.extend_from_slice(&values[start * stride..(start + 1) * stride]);
+        let mut hole = start;
+        loop {
+            moved[hole] = true;
+            let source = order[hole] as usize;
+            if source == start {
+                values[hole * stride..(hole + 1) * stride].copy_from_slice(&held);
+                break;
+            }
+            values.copy_within(source * stride..(source + 1) * stride, hole * stride);
+            hole = source;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn axes_give_the_same_matrix_as_rotation_and_standard_deviations() {
+        let rotation = DQuat::from_xyzw(0.3, -0.1, 0.7, 0.2).normalize();
+        let deviations = DVec3::new(1e-5, 0.02, 3.0);
+        let axes = DMat3::from_quat(rotation) * DMat3::from_diagonal(deviations);
+        let expected = Splats::unit_from_world(rotation, deviations);
+        let difference = Splats::unit_from_axes(axes) * expected.inverse() - Mat3::IDENTITY;
+        assert!(difference.abs().to_cols_array().into_iter().all(|entry| entry < 1e-3), "{difference}");
+    }
+
+    #[test]
+    fn lowering_the_degree_keeps_the_first_coefficients_of_each_channel() {
+        let mut splats = Splats { means: vec![Vec3::ZERO; 2], sh_degree: 1, ..Splats::default() };
+        splats.sh = (0..24).map(|i| i as f32).collect();
+        splats.lower_sh_degree(0);
+        assert_eq!((splats.sh_degree, splats.sh), (0, vec![0.0, 4.0, 8.0, 12.0, 16.0, 20.0]));
     }
 }

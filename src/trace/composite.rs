@@ -1,8 +1,68 @@
 //! What a ray gathers, and its conversion to linear light.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 use crate::scene::{DisplayRgb, LinearRgb, SplatEncoding};
+
+use super::Fragment;
+
+/// Front-to-back blending of one ray, in f64: `C += T alpha colour, T *= 1 - alpha`.
+#[derive(Debug, Clone, Copy)]
+pub struct Blender {
+    splat_sum: DVec3,
+    splat_weight: f64,
+    surface_sum: DVec3,
+    distance_sum: f64,
+    /// Share of light that passes everything blended so far.
+    pub transmittance: f64,
+}
+
+impl Default for Blender {
+    fn default() -> Self {
+        Self {
+            splat_sum: DVec3::ZERO,
+            splat_weight: 0.0,
+            surface_sum: DVec3::ZERO,
+            distance_sum: 0.0,
+            transmittance: 1.0,
+        }
+    }
+}
+
+impl Blender {
+    /// Blends a Gaussian's response, `distance` metres away.
+    #[inline]
+    pub fn splat(&mut self, alpha: f64, colour: DVec3, distance: f64) {
+        let weight = self.advance(alpha, distance);
+        self.splat_sum += colour * weight;
+        self.splat_weight += weight;
+    }
+
+    /// Blends a surface, `distance` metres away.
+    #[inline]
+    pub fn surface(&mut self, fragment: Fragment, distance: f64) {
+        let weight = self.advance(f64::from(fragment.alpha), distance);
+        self.surface_sum += fragment.radiance.0.as_dvec3() * weight;
+    }
+
+    fn advance(&mut self, alpha: f64, distance: f64) -> f64 {
+        let weight = self.transmittance * alpha;
+        self.distance_sum += weight * distance;
+        self.transmittance *= 1.0 - alpha;
+        weight
+    }
+
+    /// The sums so far, rounded to f32.
+    pub fn finish(&self) -> Radiance {
+        Radiance {
+            splat_sum: self.splat_sum.as_vec3(),
+            splat_weight: self.splat_weight as f32,
+            surface_sum: self.surface_sum.as_vec3(),
+            distance_sum: self.distance_sum as f32,
+            transmittance: self.transmittance as f32,
+        }
+    }
+}
 
 /// Sums gathered front to back along one ray. Display-referred splats and linear surfaces stay apart, because
 /// splats are blended in their own encoding and converted once, after blending.

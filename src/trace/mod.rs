@@ -1,15 +1,25 @@
 //! Radiance along rays: one model, three tracers.
 
+pub mod beam;
 pub mod composite;
 pub mod cube;
+pub mod gaussian;
+pub mod level;
+pub mod ray;
+pub mod reference;
+pub mod triangle;
 
 use glam::{DVec3, Vec2};
 
 use crate::job::{Order, ShDirection};
 use crate::scene::LinearRgb;
 
+pub use beam::BeamTracer;
 pub use composite::Radiance;
 pub use cube::Face;
+pub use level::Level;
+pub use ray::RayTracer;
+pub use reference::ReferenceTracer;
 
 /// What every tracer is told about a bake.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -76,6 +86,16 @@ impl Tile {
     /// How many texels the tile has.
     pub fn len(&self) -> usize {
         self.width as usize * self.height as usize
+    }
+
+    /// Unit directions through the texels' centres, row by row.
+    pub fn directions(&self) -> impl Iterator<Item = DVec3> + '_ {
+        let (rows, columns) = (self.y..self.y + self.height, self.x..self.x + self.width);
+        rows.flat_map(move |y| {
+            columns
+                .clone()
+                .map(move |x| self.face.direction(self.face_size, f64::from(x) + 0.5, f64::from(y) + 0.5).normalize())
+        })
     }
 
     /// Whether the tile has no texels.

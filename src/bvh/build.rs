@@ -1,0 +1,232 @@
+//! From a scene to a wide tree: sort along a Morton curve, cluster, obvhs, widen.
+//!
+//! obvhs's working memory is some 260 bytes per primitive, more than a Gaussian with its colour. Clusters of up to
+//! eight neighbours cut that, and the build time, to a fraction; a tracer tests the members of a leaf side by side
+//! anyway.
+
+use glam::Vec3;
+use obvhs::aabb::Aabb;
+use obvhs::bvh2::Bvh2;
+use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
+use obvhs::ploc::{PlocBuilder, PlocSearchDistance, SortPrecision};
+use rayon::prelude::*;
+
+use super::boxes::{Box3, gaussian_box, triangle_box};
+use super::{Bvh, Child, WIDTH, WideNode};
+use crate::scene::{Meshes, Scene, Splats};
+
+/// A cluster may cover this many times its members' summed surface area. Larger values give fewer, looser leaves.
+const CLUSTER_LOOSENESS: f32 = 1.0;
+
+/// Cells per axis of the Morton curve: 3 x 21 bits fill a u64.
+const MORTON_CELLS: f64 = (1u32 << 21) as f64;
+
+/// Primitives of one kind that lie together, as one box for obvhs.
+#[derive(Clone, Copy)]
+struct Cluster {
+    child_box: Box3,
+    first: u32,
+    count: u32,
+    triangles: bool,
+}
+
+impl Bvh {
+    /// Sorts the scene's Gaussians and triangles into leaf order and builds the tree over them.
+    pub fn build(scene: &mut Scene) -> Self {
+        let gaussian_codes = sort_by_morton_code(scene.splats.len(), |i| scene.splats.means[i]);
+        scene.splats.reorder(&gaussian_codes.order);
+        let triangle_centre = |i| scene.meshes.corners(i).iter().sum::<Vec3>() / 3.0;
+        let triangle_codes = sort_by_morton_code(scene.meshes.triangles.len(), triangle_centre);
+        scene.meshes.reorder_triangles(&triangle_codes.order);
+        let mut clusters = gaussian_clusters(&scene.splats, &gaussian_codes.codes);
+        drop(gaussian_codes);
+        clusters.extend(triangle_clusters(&scene.meshes, &triangle_codes.codes));
+        Self { nodes: widen(&clusters) }
+    }
+}
+
+/// The order of primitives along the Morton curve, and their codes in that order.
+struct MortonOrder {
+    order: Vec<u32>,
+    codes: Vec<u64>,
+}
+
+fn sort_by_morton_code(count: usize, centre: impl Fn(usize) -> Vec3 + Sync) -> MortonOrder {
+    // The curve's cells span the middle 98 % of the centres and as much again around them, so that a stray
+    // primitive a million metres away does not put the whole scene into one cell.
+    let step = count.div_ceil(1 << 16).max(1);
+    let sample = |axis: usize| {
+        let mut values: Vec<f32> =
+            (0..count).step_by(step).map(|i| centre(i)[axis]).filter(|x| x.is_finite()).collect();
+        values.sort_unstable_by(f32::total_cmp);
+        let at = |share: f64| values.get(((values.len().max(1) - 1) as f64 * share) as usize).copied().unwrap_or(0.0);
+        let (low, high) = (f64::from(at(0.01)), f64::from(at(0.99)));
+        let margin = (high - low) / 2.0;
+        (low - margin, MORTON_CELLS / (high - low + 2.0 * margin).max(f64::MIN_POSITIVE))
+    };
+    let axes = [sample(0), sample(1), sample(2)];
+    let mut keyed: Vec<(u64, u32)> = (0..count)
+        .into_par_iter()
+        .map(|i| {
+            let point = centre(i);
+            let cell = |axis: usize| {
+                let (low, scale) = axes[axis];
+                // `as` saturates, and takes NaN to 0.
+                spread_bits(((f64::from(point[axis]) - low) * scale).min(MORTON_CELLS - 1.0) as u64)
+            };
+            (cell(0) | cell(1) << 1 | cell(2) << 2, i as u32)
+        })
+        .collect();
+    keyed.par_sort_unstable();
+    MortonOrder { order: keyed.iter().map(|k| k.1).collect(), codes: keyed.iter().map(|k| k.0).collect() }
+}
+
+/// Puts the low 21 bits of `x` at every third bit.
+fn spread_bits(x: u64) -> u64 {
+    let x = x & 0x1f_ffff;
+    let x = (x | x << 32) & 0x001f_0000_0000_ffff;
+    let x = (x | x << 16) & 0x001f_0000_ff00_00ff;
+    let x = (x | x << 8) & 0x100f_00f0_0f00_f00f;
+    let x = (x | x << 4) & 0x10c3_0c30_c30c_30c3;
+    (x | x << 2) & 0x1249_2492_4924_9249
+}
+
+fn gaussian_clusters(splats: &Splats, codes: &[u64]) -> Vec<Cluster> {
+    clusters(codes, false, |i| gaussian_box(splats, i))
+}
+
+fn triangle_clusters(meshes: &Meshes, codes: &[u64]) -> Vec<Cluster> {
+    clusters(codes, true, |i| triangle_box(meshes, i))
+}
+
+/// Groups neighbours on the curve into clusters of at most [`WIDTH`], and all that share a cell into one cluster of any
+/// size: PLOC turns coincident boxes into a chain, in quadratic time.
+fn clusters(codes: &[u64], triangles: bool, box_of: impl Fn(usize) -> Box3 + Sync) -> Vec<Cluster> {
+    // Fixed blocks, so that the clusters do not depend on the number of threads.
+    const BLOCK: usize = 1 << 14;
+    let starts: Vec<usize> = (0..codes.len()).step_by(BLOCK).collect();
+    starts
+        .into_par_iter()
+        .map(|start| cluster_block(codes, start..(start + BLOCK).min(codes.len()), triangles, &box_of))
+        .flatten_iter()
+        .collect()
+}
+
+fn cluster_block(
+    codes: &[u64],
+    block: std::ops::Range<usize>,
+    triangles: bool,
+    box_of: &(impl Fn(usize) -> Box3 + Sync),
+) -> Vec<Cluster> {
+    let mut clusters = Vec::with_capacity(block.len() / 4 + 1);
+    let mut open: Option<(Cluster, f32)> = None;
+    for i in block {
+        let own_box = box_of(i);
+        let own_area = own_box.half_area();
+        if let Some((cluster, area)) = &mut open {
+            let union = cluster.child_box.union(own_box);
+            let coincident = codes[i] == codes[cluster.first as usize];
+            let tight = union.half_area() <= CLUSTER_LOOSENESS * (*area + own_area);
+            if coincident || (tight && (cluster.count as usize) < WIDTH) {
+                cluster.child_box = union;
+                cluster.count += 1;
+                *area += own_area;
+                continue;
+            }
+            clusters.push(*cluster);
+        }
+        open = Some((Cluster { child_box: own_box, first: i as u32, count: 1, triangles }, own_area));
+    }
+    clusters.extend(open.map(|(cluster, _)| cluster));
+    clusters
+}
+
+/// Builds obvhs's binary tree over the clusters and widens it from the root: the inner child with the largest surface
+/// is replaced by its two children until a node has eight.
+fn widen(clusters: &[Cluster]) -> Vec<WideNode> {
+    if clusters.is_empty() {
+        return Vec::new();
+    }
+    let binary = binary_tree(clusters);
+    let mut nodes = vec![WideNode::EMPTY];
+    // An explicit stack: the depth of a tree over hostile input is bounded only by its size.
+    let mut pending = vec![(0usize, Slot::Binary(0))];
+    while let Some((target, slot)) = pending.pop() {
+        for (lane, (child_box, child)) in children(slot, &binary, clusters).into_iter().enumerate() {
+            let child = match child {
+                Slot::Range { cluster, first, count } if count as usize <= WIDTH => {
+                    leaf(&clusters[cluster], first, count)
+                }
+                inner => {
+                    pending.push((nodes.len(), inner));
+                    nodes.push(WideNode::EMPTY);
+                    Child::Node(nodes.len() as u32 - 1)
+                }
+            };
+            nodes[target].set(lane, child_box, child);
+        }
+    }
+    nodes
+}
+
+/// Something that becomes a lane of a wide node.
+#[derive(Clone, Copy)]
+enum Slot {
+    /// A node of the binary tree.
+    Binary(usize),
+    /// Part of a cluster.
+    Range { cluster: usize, first: u32, count: u32 },
+}
+
+fn leaf(cluster: &Cluster, first: u32, count: u32) -> Child {
+    if cluster.triangles { Child::Triangles { first, count } } else { Child::Gaussians { first, count } }
+}
+
+fn children(slot: Slot, binary: &Bvh2, clusters: &[Cluster]) -> Vec<(Box3, Slot)> {
+    let resolve = |slot: Slot| match slot {
+        Slot::Binary(index) if binary.nodes[index].is_leaf() => {
+            let cluster = binary.primitive_indices[binary.nodes[index].first_index as usize] as usize;
+            Slot::Range { cluster, first: clusters[cluster].first, count: clusters[cluster].count }
+        }
+        other => other,
+    };
+    let with_box = |slot: Slot| {
+        let aabb = match slot {
+            Slot::Binary(index) => binary.nodes[index].aabb,
+            Slot::Range { cluster, .. } => return (clusters[cluster].child_box, slot),
+        };
+        (Box3 { min: aabb.min.into(), max: aabb.max.into() }, resolve(slot))
+    };
+    let mut slots = match resolve(slot) {
+        Slot::Range { cluster, first, count } if count as usize > WIDTH => {
+            let part = |k: u32| first + (u64::from(count) * u64::from(k) / WIDTH as u64) as u32;
+            return (0..WIDTH as u32)
+                .map(|k| with_box(Slot::Range { cluster, first: part(k), count: part(k + 1) - part(k) }))
+                .collect();
+        }
+        whole => vec![with_box(match whole {
+            Slot::Binary(_) => slot,
+            range => range,
+        })],
+    };
+    while slots.len() < WIDTH {
+        let widest = (0..slots.len())
+            .filter(|&k| matches!(slots[k].1, Slot::Binary(_)))
+            .max_by(|&a, &b| slots[a].0.half_area().total_cmp(&slots[b].0.half_area()));
+        let Some(widest) = widest else { break };
+        let Slot::Binary(index) = slots.swap_remove(widest).1 else { break };
+        let first_child = binary.nodes[index].first_index as usize;
+        slots.extend([with_box(Slot::Binary(first_child)), with_box(Slot::Binary(first_child + 1))]);
+    }
+    slots
+}
+
+fn binary_tree(clusters: &[Cluster]) -> Bvh2 {
+    let boxes: Vec<Aabb> =
+        clusters.iter().map(|c| Aabb { min: c.child_box.min.into(), max: c.child_box.max.into() }).collect();
+    let indices = (0..boxes.len() as u32).collect();
+    let mut binary =
+        PlocBuilder::with_capacity(boxes.len()).build(PlocSearchDistance::Low, &boxes, indices, SortPrecision::U64, 2);
+    ReinsertionOptimizer::default().run(&mut binary, 0.02, None);
+    binary
+}

@@ -1,0 +1,159 @@
+//! All Gaussians of all inputs in one set of arrays: decoded in parallel, each to where it stays.
+
+use std::ops::Range;
+
+use glam::{DVec3, Mat3, Vec3};
+use rayon::prelude::*;
+
+use super::CHUNK;
+use super::ply::Ply;
+use super::sanitize::{Dropped, FileGaussian, WorldFromFile};
+use crate::error::Result;
+use crate::scene::Splats;
+use crate::scene::sh::coefficient_count;
+
+/// Arrays allocated once for every Gaussian that the inputs may bring, filled from the front.
+pub(super) struct Gathering {
+    splats: Splats,
+    filled: usize,
+}
+
+/// What one input brought.
+pub(super) struct Gathered {
+    /// Where its Gaussians are.
+    pub range: Range<usize>,
+    pub dropped: Dropped,
+    /// Highest band with a coefficient that is not zero, among the Gaussians kept.
+    pub sh_degree_used: u8,
+}
+
+/// What one chunk of an input brought.
+#[derive(Default)]
+struct ChunkOutcome {
+    kept: usize,
+    dropped: Dropped,
+    sh_degree_used: u8,
+}
+
+/// The part of the arrays that a chunk of an input may fill.
+struct ChunkSlots<'a> {
+    means: &'a mut [Vec3],
+    unit_from_world: &'a mut [Mat3],
+    opacities: &'a mut [f32],
+    sh: &'a mut [f32],
+}
+
+impl Gathering {
+    /// Room for `count` Gaussians of `sh_degree`.
+    pub fn new(count: usize, sh_degree: u8) -> Self {
+        let splats = Splats {
+            means: vec![Vec3::ZERO; count],
+            unit_from_world: vec![Mat3::ZERO; count],
+            opacities: vec![0.0; count],
+            sh_degree,
+            sh: vec![0.0; count * 3 * coefficient_count(sh_degree)],
+        };
+        Self { splats, filled: 0 }
+    }
+
+    /// Decodes all of `file`, drops what cannot be used, and keeps the rest in file order, relative to `origin`.
+    ///
+    /// Each chunk fills its own slots from the front; afterwards the chunks are moved together, in place.
+    pub fn append(&mut self, file: &Ply, world_from_file: &WorldFromFile, origin: DVec3) -> Result<Gathered> {
+        let first = self.filled;
+        let range = first..first + file.count();
+        let stride = self.splats.sh_stride();
+        let degrees = Degrees { file: file.sh_degree(), stored: self.splats.sh_degree };
+        let outcomes: Vec<Result<ChunkOutcome>> = (
+            self.splats.means[range.clone()].par_chunks_mut(CHUNK),
+            self.splats.unit_from_world[range.clone()].par_chunks_mut(CHUNK),
+            self.splats.opacities[range.clone()].par_chunks_mut(CHUNK),
+            self.splats.sh[range.start * stride..range.end * stride].par_chunks_mut(CHUNK * stride),
+        )
+            .into_par_iter()
+            .enumerate()
+            .map(|(chunk, (means, unit_from_world, opacities, sh))| {
+                let mut outcome = ChunkOutcome::default();
+                let mut slots = ChunkSlots { means, unit_from_world, opacities, sh };
+                file.for_each_in_chunk(chunk, |gaussian| {
+                    outcome.add(&mut slots, gaussian, world_from_file, origin, degrees);
+                })?;
+                Ok(outcome)
+            })
+            .collect();
+
+        let mut dropped = Dropped::default();
+        let mut sh_degree_used = 0;
+        // In file order, so that the first error in the file is the one that is told.
+        for (chunk, outcome) in outcomes.into_iter().enumerate() {
+            let outcome = outcome?;
+            self.move_to_front(first + chunk * CHUNK, outcome.kept);
+            dropped += outcome.dropped;
+            sh_degree_used = sh_degree_used.max(outcome.sh_degree_used);
+        }
+        Ok(Gathered { range: first..self.filled, dropped, sh_degree_used })
+    }
+
+    /// Moves `count` Gaussians from `start` to the end of the filled part.
+    fn move_to_front(&mut self, start: usize, count: usize) {
+        let (from, to) = (start..start + count, self.filled);
+        self.filled += count;
+        if from.start == to {
+            return;
+        }
+        let stride = self.splats.sh_stride();
+        self.splats.means.copy_within(from.clone(), to);
+        self.splats.unit_from_world.copy_within(from.clone(), to);
+        self.splats.opacities.copy_within(from.clone(), to);
+        self.splats.sh.copy_within(from.start * stride..from.end * stride, to * stride);
+    }
+
+    /// The Gaussians gathered, with bands above `sh_degree` left out.
+    pub fn finish(self, sh_degree: u8) -> Splats {
+        let mut splats = self.splats;
+        let stride = splats.sh_stride();
+        splats.means.truncate(self.filled);
+        splats.unit_from_world.truncate(self.filled);
+        splats.opacities.truncate(self.filled);
+        splats.sh.truncate(self.filled * stride);
+        splats.lower_sh_degree(sh_degree);
+        splats
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Degrees {
+    file: u8,
+    stored: u8,
+}
+
+impl ChunkOutcome {
+    /// Puts `gaussian` into the next free slot, or counts why not. Bands that the file lacks stay zero.
+    fn add(
+        &mut self,
+        slots: &mut ChunkSlots,
+        gaussian: &mut FileGaussian,
+        world_from_file: &WorldFromFile,
+        origin: DVec3,
+        degrees: Degrees,
+    ) {
+        let world = match world_from_file.place(gaussian, origin) {
+            Ok(world) => world,
+            Err(reason) => return self.dropped.count(reason),
+        };
+        slots.means[self.kept] = world.mean;
+        slots.unit_from_world[self.kept] = world.unit_from_world;
+        slots.opacities[self.kept] = world.opacity;
+        let (from, to) = (coefficient_count(degrees.file), coefficient_count(degrees.stored));
+        let channels = gaussian.coefficients.chunks_exact(from).take(3);
+        let sh = &mut slots.sh[self.kept * 3 * to..(self.kept + 1) * 3 * to];
+        for (stored, channel) in sh.chunks_exact_mut(to).zip(channels.clone()) {
+            stored[..from].copy_from_slice(channel);
+        }
+        let uses =
+            |l: usize| channels.clone().any(|channel| channel[l * l..(l + 1) * (l + 1)].iter().any(|&c| c != 0.0));
+        let unused_so_far = self.sh_degree_used + 1..=degrees.file;
+        self.sh_degree_used = unused_so_far.rev().find(|&l| uses(l.into())).unwrap_or(self.sh_degree_used);
+        self.kept += 1;
+    }
+}

@@ -1,0 +1,114 @@
+//! What was read: the answer of `inspect`, and the inputs of the manifest.
+
+use std::ops::Range;
+use std::path::PathBuf;
+
+use glam::DVec3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::sanitize::Dropped;
+use crate::job::Frame;
+use crate::scene::bounds::{Bounds, robust_bounds};
+use crate::scene::{SplatEncoding, Splats};
+
+/// What a splat input holds and how it was understood.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct SplatReport {
+    /// The file, as the request names it.
+    pub path: PathBuf,
+    /// Format and variant.
+    pub format: String,
+    /// Gaussians in the file.
+    pub count: u64,
+    /// Gaussians in the scene.
+    pub kept: u64,
+    /// The others, by reason.
+    pub dropped: Dropped,
+    /// Spherical harmonics degree in the file.
+    pub sh_degree: u8,
+    /// Highest band that any kept Gaussian uses; bands that are zero everywhere are not stored.
+    pub sh_degree_used: u8,
+    /// What the colours mean, as asked or by the format's default.
+    pub encoding: SplatEncoding,
+    /// What the file's axes point at, as asked or by the format's default.
+    pub frame: Frame,
+    /// Box of the kept means, in world metres.
+    pub bounds: Bounds,
+    /// The box that most kept means fill, without outliers, in world metres.
+    pub robust_bounds: Bounds,
+    /// Peak opacities of the kept Gaussians, 0 to 1.
+    pub opacity: Quantiles,
+    /// Largest standard deviation of each kept Gaussian, in world metres.
+    pub scale: Quantiles,
+}
+
+/// What all inputs of a scene hold.
+#[derive(Debug, Default, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct SceneReport {
+    /// One per splat input, in their order.
+    pub splats: Vec<SplatReport>,
+}
+
+/// A distribution by its percentiles: the value that so many per cent of the Gaussians do not exceed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct Quantiles {
+    /// 1 %.
+    pub p1: f64,
+    /// 10 %.
+    pub p10: f64,
+    /// 50 %: the median.
+    pub p50: f64,
+    /// 90 %.
+    pub p90: f64,
+}
+
+/// At most this many Gaussians decide a distribution, taken at a fixed stride.
+const SAMPLES: usize = 1 << 20;
+
+impl Quantiles {
+    /// Percentiles by nearest rank; `None` without values.
+    fn of(mut values: Vec<f64>) -> Option<Self> {
+        let last = values.len().checked_sub(1)?;
+        let mut at =
+            |share: f64| *values.select_nth_unstable_by((last as f64 * share).round() as usize, f64::total_cmp).1;
+        Some(Self { p1: at(0.01), p10: at(0.1), p50: at(0.5), p90: at(0.9) })
+    }
+}
+
+/// What a report derives from the Gaussians kept.
+pub(super) struct Statistics {
+    pub bounds: Bounds,
+    pub robust_bounds: Bounds,
+    pub opacity: Quantiles,
+    pub scale: Quantiles,
+}
+
+impl Statistics {
+    /// Of the Gaussians in `range`, with positions relative to `origin`; `None` when there are none.
+    pub fn of(splats: &Splats, range: Range<usize>, origin: DVec3) -> Option<Self> {
+        let means = &splats.means[range.clone()];
+        let sampled = range.clone().step_by(range.len().div_ceil(SAMPLES).max(1));
+        Some(Self {
+            bounds: Bounds::of(means.iter().map(|mean| mean.as_dvec3()))?.translated(origin),
+            robust_bounds: robust_bounds(means)?.translated(origin),
+            opacity: Quantiles::of(sampled.clone().map(|i| f64::from(splats.opacities[i])).collect())?,
+            scale: Quantiles::of(sampled.map(|i| splats.standard_deviations(i).max_element()).collect())?,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_of_0_to_100_are_their_percentages() {
+        let values = (0..=100).rev().map(f64::from).collect();
+        assert_eq!(Quantiles::of(values), Some(Quantiles { p1: 1.0, p10: 10.0, p50: 50.0, p90: 90.0 }));
+        assert_eq!(Quantiles::of(Vec::new()), None);
+    }
+}

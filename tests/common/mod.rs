@@ -1,0 +1,150 @@
+//! Small scenes with known properties, shared by the integration tests.
+#![allow(dead_code)] // each test binary uses its part
+
+use glam::{DQuat, DVec3, Vec2, Vec3};
+use splatprobe::scene::mesh::{Material, VertexAttributes};
+use splatprobe::scene::{LinearRgb, Scene, Splats, sh};
+use splatprobe::trace::{Fragment, Ray, SurfaceHit, Surfaces};
+
+/// A counter-based generator (splitmix64): the same numbers on every machine.
+pub struct Random(pub u64);
+
+impl Random {
+    pub fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// Uniform in [low, high).
+    pub fn uniform(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * (self.bits() >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    pub fn below(&mut self, end: usize) -> usize {
+        (self.bits() % end as u64) as usize
+    }
+
+    pub fn direction(&mut self) -> DVec3 {
+        loop {
+            let p = DVec3::new(self.uniform(-1.0, 1.0), self.uniform(-1.0, 1.0), self.uniform(-1.0, 1.0));
+            if (1e-3..1.0).contains(&p.length()) {
+                return p.normalize();
+            }
+        }
+    }
+
+    pub fn rotation(&mut self) -> DQuat {
+        DQuat::from_axis_angle(self.direction(), self.uniform(0.0, std::f64::consts::TAU))
+    }
+}
+
+/// One Gaussian to be added to a scene.
+pub struct Gaussian {
+    pub mean: DVec3,
+    pub rotation: DQuat,
+    pub standard_deviations: DVec3,
+    pub opacity: f64,
+    pub colour: Vec3,
+}
+
+/// Gaussians without view dependence.
+pub fn splats(gaussians: impl IntoIterator<Item = Gaussian>) -> Splats {
+    let mut splats = Splats::default();
+    for g in gaussians {
+        splats.means.push(g.mean.as_vec3());
+        splats.unit_from_world.push(Splats::unit_from_world(g.rotation, g.standard_deviations));
+        splats.opacities.push(g.opacity as f32);
+        let mut dc = [0.0; 25];
+        sh::basis(0, Vec3::Z, &mut dc);
+        splats.sh.extend((g.colour - 0.5).to_array().map(|c| c / dc[0]));
+    }
+    splats
+}
+
+/// A cloud around the origin, standard deviations log-uniform in `sizes`, colours with bands up to `degree`.
+pub fn cloud(count: usize, sizes: [f64; 2], degree: u8, seed: u64) -> Splats {
+    let mut random = Random(seed);
+    let mut splats = Splats { sh_degree: degree, ..Splats::default() };
+    for _ in 0..count {
+        let mut size = || random.uniform(sizes[0].ln(), sizes[1].ln()).exp();
+        let standard_deviations = DVec3::new(size(), size(), size());
+        let distance = random.uniform(0.3, 5.0);
+        splats.means.push((random.direction() * distance).as_vec3());
+        splats.unit_from_world.push(Splats::unit_from_world(random.rotation(), standard_deviations));
+        splats.opacities.push(random.uniform(0.01, 1.0) as f32);
+        splats.sh.extend((0..3 * sh::coefficient_count(degree)).map(|_| random.uniform(-0.8, 0.8) as f32));
+    }
+    splats
+}
+
+/// Adds a single triangle.
+pub fn add_triangle(scene: &mut Scene, corners: [Vec3; 3]) {
+    let meshes = &mut scene.meshes;
+    let first = meshes.positions.len() as u32;
+    meshes.positions.extend(corners);
+    meshes.attributes.extend([VertexAttributes::default(); 3]);
+    meshes.triangles.push([first, first + 1, first + 2]);
+    if meshes.materials.is_empty() {
+        meshes.materials.push(Material::default());
+    }
+    meshes.triangle_materials.push(0);
+}
+
+/// Randomly placed triangles around the origin.
+pub fn add_random_triangles(scene: &mut Scene, count: usize, seed: u64) {
+    let mut random = Random(seed);
+    for _ in 0..count {
+        let centre = random.direction() * random.uniform(0.5, 5.0);
+        add_triangle(scene, [(); 3].map(|()| (centre + random.direction() * 0.6).as_vec3()));
+    }
+}
+
+/// Surfaces whose look depends only on where they are: a third opaque, a third masked, a third blended, so that order
+/// cannot depend on how a tree has sorted them.
+pub struct PatternedSurfaces<'a>(pub &'a Scene);
+
+impl PatternedSurfaces<'_> {
+    fn kind(&self, triangle: u32) -> u32 {
+        self.0.meshes.corners(triangle as usize)[0].x.to_bits() % 3
+    }
+}
+
+impl Surfaces for PatternedSurfaces<'_> {
+    fn is_opaque(&self, triangle: u32) -> bool {
+        self.kind(triangle) == 0
+    }
+
+    fn is_double_sided(&self, _: u32) -> bool {
+        true
+    }
+
+    fn fragment(&self, _: &Ray, hit: &SurfaceHit) -> Fragment {
+        let Vec2 { x, y } = hit.barycentric;
+        let alpha = match self.kind(hit.triangle) {
+            0 => 1.0,
+            1 => f32::from(((x * 8.0) as u32 + (y * 8.0) as u32).is_multiple_of(2)),
+            _ => 0.2 + 0.6 * x,
+        };
+        Fragment { alpha, radiance: LinearRgb(Vec3::new(x, y, 0.5) * 2.0) }
+    }
+}
+
+/// No surfaces at all.
+pub struct NoSurfaces;
+
+impl Surfaces for NoSurfaces {
+    fn is_opaque(&self, _: u32) -> bool {
+        false
+    }
+
+    fn is_double_sided(&self, _: u32) -> bool {
+        false
+    }
+
+    fn fragment(&self, _: &Ray, _: &SurfaceHit) -> Fragment {
+        unreachable!("the scene has no triangles")
+    }
+}

@@ -1,0 +1,168 @@
+//! The production tracers against the f64 reference.
+
+mod common;
+
+use common::{NoSurfaces, PatternedSurfaces, Random, add_random_triangles, cloud};
+use glam::{DVec3, Vec3};
+use splatprobe::bvh::Bvh;
+use splatprobe::job::{Order, ShDirection};
+use splatprobe::scene::splats::ALPHA_MIN;
+use splatprobe::scene::{Scene, colour};
+use splatprobe::trace::ray::RayScratch;
+use splatprobe::trace::{
+    BeamTracer, Face, Level, Radiance, Ray, RayTracer, ReferenceTracer, Surfaces, Tile, TileTracer, TraceSettings,
+    gaussian,
+};
+
+/// Largest difference of two results over colour in display space, coverage, and mean distance relative to itself.
+fn difference(a: &Radiance, b: &Radiance) -> f32 {
+    let display = |r: &Radiance| {
+        let linear = r.to_linear(Default::default(), Default::default()).0;
+        Vec3::new(colour::linear_to_srgb(linear.x), colour::linear_to_srgb(linear.y), colour::linear_to_srgb(linear.z))
+    };
+    let distance = (a.distance_sum - b.distance_sum).abs() / (1.0 + b.distance_sum.abs());
+    (display(a) - display(b)).abs().max_element().max((a.transmittance - b.transmittance).abs()).max(distance)
+}
+
+#[derive(Default)]
+struct Comparison {
+    squares: f64,
+    max: f32,
+    texels: usize,
+    /// Rays left out because the model itself jumps within rounding: see [`jumps`].
+    jumps: usize,
+}
+
+impl Comparison {
+    fn rms(&self) -> f64 {
+        (self.squares / self.texels as f64).sqrt()
+    }
+
+    fn add(&mut self, scene: &Scene, ray: &Ray, seen: &Radiance, truth: &Radiance) {
+        let d = difference(seen, truth);
+        self.texels += 1;
+        if d > 1e-5 && jumps(scene, ray) {
+            self.jumps += 1;
+            return;
+        }
+        self.squares += f64::from(d).powi(2);
+        self.max = self.max.max(d);
+    }
+}
+
+/// Whether the value along the ray hangs on a rounding of f32: some Gaussian's response is 1/255 to within 2e-5, or two
+/// that contribute have their strongest response at the same distance to within 1e-6.
+fn jumps(scene: &Scene, ray: &Ray) -> bool {
+    let splats = &scene.splats;
+    let met = |i: usize| {
+        let mean = splats.means[i].as_dvec3() - ray.origin;
+        let opacity = f64::from(splats.opacities[i]);
+        gaussian::response(&splats.unit_from_world[i].as_dmat3(), opacity, mean, ray.direction)
+    };
+    let responses: Vec<_> = (0..splats.len()).map(met).collect();
+    let mut distances: Vec<f64> = responses.iter().filter(|r| r.contributes(0.0)).map(|r| r.distance).collect();
+    distances.sort_by(f64::total_cmp);
+    responses.iter().any(|r| (r.alpha / ALPHA_MIN - 1.0).abs() < 2e-5)
+        || distances.windows(2).any(|pair| pair[1] / pair[0] - 1.0 < 1e-6)
+}
+
+fn compare(
+    scene: &Scene,
+    bvh: &Bvh,
+    surfaces: &dyn Surfaces,
+    settings: TraceSettings,
+    origin: DVec3,
+    rays: usize,
+) -> Comparison {
+    let fast = RayTracer { scene, bvh, surfaces, settings };
+    let truth = ReferenceTracer { scene, surfaces, settings };
+    let mut random = Random(99);
+    let mut scratch = RayScratch::default();
+    let mut comparison = Comparison::default();
+    for _ in 0..rays {
+        let ray = Ray { origin, direction: random.direction() };
+        comparison.add(scene, &ray, &fast.trace(&ray, &mut scratch), &truth.trace(&ray));
+    }
+    comparison
+}
+
+#[test]
+fn ray_equals_reference_without_cut_off_in_every_order_and_colour_direction() {
+    let mut scene = Scene { splats: cloud(4000, [0.01, 0.4], 3, 1), ..Scene::default() };
+    add_random_triangles(&mut scene, 60, 2);
+    let bvh = Bvh::build(&mut scene);
+    let surfaces = PatternedSurfaces(&scene);
+    for order in [Order::RayHitDistance, Order::CameraDistance] {
+        for sh_direction in [ShDirection::Mean, ShDirection::Ray] {
+            for origin in [DVec3::ZERO, DVec3::new(0.4, -0.3, 1.0), DVec3::new(40.0, 3.0, -7.0)] {
+                let settings = TraceSettings { order, sh_direction, t_cutoff: 0.0, ..TraceSettings::default() };
+                let seen = compare(&scene, &bvh, &surfaces, settings, origin, 400);
+                assert!(seen.rms() <= 2e-5 && seen.max <= 1e-3, "{settings:?} {origin}: {} {}", seen.rms(), seen.max);
+            }
+        }
+    }
+}
+
+#[test]
+fn ray_with_a_cut_off_errs_by_no_more_than_the_cut_off() {
+    let mut scene = Scene { splats: cloud(20_000, [0.01, 0.4], 0, 5), ..Scene::default() };
+    for value in &mut scene.splats.sh {
+        *value = value.clamp(-1.7, 1.7); // colours within [0, 1], for which the bound holds
+    }
+    let bvh = Bvh::build(&mut scene);
+    for t_cutoff in [0.1, 0.01, 1e-3] {
+        let settings = TraceSettings { t_cutoff, ..TraceSettings::default() };
+        let fast = RayTracer { scene: &scene, bvh: &bvh, surfaces: &NoSurfaces, settings };
+        let truth = ReferenceTracer { scene: &scene, surfaces: &NoSurfaces, settings };
+        let mut random = Random(7);
+        for _ in 0..300 {
+            let ray = Ray { origin: DVec3::ZERO, direction: random.direction() };
+            let (seen, full) = (fast.trace(&ray, &mut RayScratch::default()), truth.trace(&ray));
+            assert!((seen.splat_sum - full.splat_sum).abs().max_element() <= t_cutoff + 1e-6);
+            assert!((seen.transmittance - full.transmittance).abs() <= t_cutoff);
+        }
+    }
+}
+
+/// Differences of two tracers over some tiles of a probe's cube, one of them cut by the face's edge.
+fn compare_tiles(scene: &Scene, a: &dyn TileTracer, b: &dyn TileTracer, origin: DVec3) -> Comparison {
+    let mut comparison = Comparison::default();
+    for face in Face::ALL {
+        for (x, y, width, height) in [(0, 0, 16, 24), (32, 16, 13, 5)] {
+            let tile = Tile { face, face_size: 45, x, y, width, height };
+            let (mut seen, mut truth) = (vec![Radiance::default(); tile.len()], vec![Radiance::default(); tile.len()]);
+            a.trace_tile(origin, &tile, &mut seen);
+            b.trace_tile(origin, &tile, &mut truth);
+            for ((seen, truth), direction) in seen.iter().zip(&truth).zip(tile.directions()) {
+                comparison.add(scene, &Ray { origin, direction }, seen, truth);
+            }
+        }
+    }
+    comparison
+}
+
+#[test]
+fn beam_equals_ray_at_every_level_order_and_colour_direction() {
+    let mut scene = Scene { splats: cloud(4000, [0.01, 0.4], 3, 1), ..Scene::default() };
+    add_random_triangles(&mut scene, 60, 2);
+    let bvh = Bvh::build(&mut scene);
+    let surfaces = PatternedSurfaces(&scene);
+    for level in Level::available() {
+        println!("level {}", level.name());
+        for order in [Order::RayHitDistance, Order::CameraDistance] {
+            for sh_direction in [ShDirection::Mean, ShDirection::Ray] {
+                for origin in [DVec3::ZERO, DVec3::new(3.0, 2.0, -5.0)] {
+                    for t_cutoff in [0.0, 1e-3] {
+                        let settings = TraceSettings { order, sh_direction, t_cutoff, ..TraceSettings::default() };
+                        let beam = BeamTracer { scene: &scene, bvh: &bvh, surfaces: &surfaces, settings, level };
+                        let ray = RayTracer { scene: &scene, bvh: &bvh, surfaces: &surfaces, settings };
+                        let seen = compare_tiles(&scene, &beam, &ray, origin);
+                        let (rms, max) = (seen.rms(), seen.max);
+                        assert!(rms <= 1e-6 && max <= 1e-5, "{} {settings:?} {origin}: {rms:e} {max:e}", level.name());
+                        assert!(seen.jumps * 100 < seen.texels);
+                    }
+                }
+            }
+        }
+    }
+}
