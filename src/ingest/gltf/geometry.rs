@@ -65,24 +65,41 @@ impl Geometry {
         }))
     }
 
-    /// Appends the triangles that can be seen, with the vertices that they use, and counts the others.
+    /// Appends the geometry once per placement; see [`Geometry::append_one`].
     ///
-    /// `stored_from_geometry` leads to coordinates relative to the scene's origin. Where it mirrors, corners swap so
-    /// that counter-clockwise stays the front (glTF 2.0, section 3.7.4).
+    /// Refuses what would pass [`MAX_ELEMENTS`] before it computes or stores anything.
     pub fn append(
         &self,
         asset: &Asset,
-        stored_from_geometry: DAffine3,
+        stored_from_geometry: &[DAffine3],
         material: u32,
         meshes: &mut Meshes,
         dropped: &mut DroppedTriangles,
     ) -> Result<()> {
-        let most = (meshes.positions.len() + self.positions.len()).max(meshes.triangles.len() + self.triangles.len());
-        if most > MAX_ELEMENTS {
+        let stored = meshes.positions.len().max(meshes.triangles.len());
+        let each = self.positions.len().max(self.triangles.len());
+        if stored.saturating_add(each.saturating_mul(stored_from_geometry.len())) > MAX_ELEMENTS {
             return Err(asset.unsupported(format!(
                 "more than {MAX_ELEMENTS} vertices or triangles in one scene, instances counted; simplify it"
             )));
         }
+        for &placement in stored_from_geometry {
+            self.append_one(placement, material, meshes, dropped);
+        }
+        Ok(())
+    }
+
+    /// Appends the triangles that can be seen, with the vertices that they use, and counts the others.
+    ///
+    /// `stored_from_geometry` leads to coordinates relative to the scene's origin. Where it mirrors, corners swap so
+    /// that counter-clockwise stays the front (glTF 2.0, section 3.7.4).
+    fn append_one(
+        &self,
+        stored_from_geometry: DAffine3,
+        material: u32,
+        meshes: &mut Meshes,
+        dropped: &mut DroppedTriangles,
+    ) {
         let linear = stored_from_geometry.matrix3;
         let mirrored = linear.determinant() < 0.0;
         let normal_map = cofactor(linear) * if mirrored { -1.0 } else { 1.0 };
@@ -110,7 +127,6 @@ impl Geometry {
             }));
             meshes.triangle_materials.push(material);
         }
-        Ok(())
     }
 
     /// Attributes of vertex `v`. What is not a number in the file becomes what it would be without the attribute.

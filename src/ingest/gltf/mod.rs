@@ -148,9 +148,7 @@ impl Loader<'_> {
                 pose::skin(self.asset, &mut geometry, primitive, file_from_joints, &here)?;
             }
             let material = self.materials.get(self.asset, primitive.material, &here, self.meshes)?;
-            for &stored_from_geometry in &stored_from_instances {
-                geometry.append(self.asset, stored_from_geometry, material, self.meshes, &mut self.dropped)?;
-            }
+            geometry.append(self.asset, &stored_from_instances, material, self.meshes, &mut self.dropped)?;
         }
         Ok(())
     }
