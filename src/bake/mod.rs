@@ -2,6 +2,9 @@
 
 mod schedule;
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
 use crate::error::{Error, Result};
 use crate::trace::{Face, Tile};
 
@@ -72,18 +75,21 @@ impl Cubemap {
 }
 
 /// What a probe sees, in numbers.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, rename_all = "camelCase")]
 pub struct ProbeStatistics {
     /// Rays traced.
     pub rays: u64,
     /// Mean coverage of all texels (not weighted by solid angle).
     pub mean_coverage: f64,
     /// Distances of what was seen, in metres; `None` where nothing was.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
     pub distance: Option<DistanceStatistics>,
 }
 
 /// Distances around a probe, in metres.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, rename_all = "camelCase")]
 pub struct DistanceStatistics {
     /// Distance of the nearest texel that has any coverage.
     pub min: f64,

@@ -10,11 +10,12 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use crate::encode::file::write_bytes_atomically;
 use crate::{Error, Result};
 
 pub use model::{
-    Box3, Colour, DisplayTransform, DistanceStatistics, FileFormat, FileRecord, FileRole, Frame, Influence,
-    InputRecord, Layout, Manifest, ProbeRecord, Statistics, TexelSampling,
+    Colour, DisplayTransform, FileFormat, FileRecord, FileRole, Frame, Influence, InputRecord, Layout, Manifest,
+    ProbeRecord, TexelSampling,
 };
 pub use verify::verify;
 
@@ -52,20 +53,10 @@ impl Manifest {
 
 /// Writes `value` as indented JSON with a final newline beside `path` and renames it.
 pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let write = || -> std::io::Result<()> {
-        let mut builder = tempfile::Builder::new();
-        // A temporary file is private by default; this one becomes an ordinary output under the user's umask.
-        #[cfg(unix)]
-        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-        let mut file = builder.tempfile_in(folder)?;
-        let mut text = serde_json::to_vec_pretty(value)?;
-        text.push(b'\n');
-        file.write_all(&text)?;
-        file.persist(path)?;
-        Ok(())
-    };
-    write().map_err(|source| Error::write(path, source))
+    write_bytes_atomically(path, |file| {
+        serde_json::to_writer_pretty(&mut *file, value)?;
+        file.write_all(b"\n")
+    })
 }
 
 /// Size in bytes and BLAKE3 hash, in hexadecimal, of a file.

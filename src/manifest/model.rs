@@ -4,8 +4,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::FORMAT_VERSION;
+use crate::bake::ProbeStatistics;
 use crate::job::{Job, Pixel};
 use crate::scene::SplatEncoding;
+use crate::scene::bounds::Bounds;
 
 /// A bake: what went in, how it was traced, and every probe with its files.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -122,23 +124,13 @@ pub struct ProbeRecord {
     /// Where the probe is used.
     pub influence: Influence,
     /// Box that reflections are corrected against (parallax), in metres.
-    pub proxy: Box3,
+    pub proxy: Bounds,
     /// Where influences overlap, a higher priority wins in engines that do not blend.
     pub priority: i32,
     /// The probe's files.
     pub files: Vec<FileRecord>,
     /// What the rays of the probe met.
-    pub statistics: Statistics,
-}
-
-/// An axis-aligned box.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, rename_all = "camelCase")]
-pub struct Box3 {
-    /// Corner with the smallest coordinates, in metres.
-    pub min: [f64; 3],
-    /// Corner with the largest coordinates, in metres.
-    pub max: [f64; 3],
+    pub statistics: ProbeStatistics,
 }
 
 /// The box in which a probe is used, and how it fades toward each face.
@@ -215,29 +207,4 @@ pub enum Layout {
 pub enum TexelSampling {
     /// Texel i of N lies at (i + 1/2) / N of the face's edge.
     Center,
-}
-
-/// What the rays of a probe met.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, rename_all = "camelCase")]
-pub struct Statistics {
-    /// Mean over all texels of the share of light that the scene sent, 0 to 1.
-    pub mean_coverage: f64,
-    /// Nearest, mean and farthest distance of what texels show, in metres; absent when no ray met anything.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub distance: Option<DistanceStatistics>,
-    /// Rays traced.
-    pub rays: u64,
-}
-
-/// Distances of what the texels of a probe show, in metres.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, rename_all = "camelCase")]
-pub struct DistanceStatistics {
-    /// Of the nearest texel.
-    pub min: f64,
-    /// Over all texels that show anything.
-    pub mean: f64,
-    /// Of the farthest texel.
-    pub max: f64,
 }

@@ -121,13 +121,14 @@ fn is_finite(sample_type: SampleType, line: &LineRef<'_>) -> bool {
 #[cfg(test)]
 mod tests {
     use exr::prelude::*;
+    use glam::DVec3;
 
     use super::*;
+    use crate::bake::ProbeStatistics;
     use crate::job::{Job, Pixel};
-    use crate::manifest::{
-        Box3, FILE_NAME, FileFormat, FileRole, Influence, Layout, ProbeRecord, Statistics, TexelSampling,
-    };
+    use crate::manifest::{FILE_NAME, FileFormat, FileRole, Influence, Layout, ProbeRecord, TexelSampling};
     use crate::scene::SplatEncoding;
+    use crate::scene::bounds::Bounds;
 
     /// A bake of one probe with faces of 4 pixels; `value` is one of its pixels.
     fn bake(folder: &Path, value: f32, change: impl FnOnce(&mut FileRecord)) -> std::path::PathBuf {
@@ -156,10 +157,10 @@ mod tests {
             id: "probe_000".into(),
             position: [0.0; 3],
             influence: Influence { min: [-1.0; 3], max: [1.0; 3], blend: [0.0; 6] },
-            proxy: Box3 { min: [-1.0; 3], max: [1.0; 3] },
+            proxy: Bounds { min: DVec3::NEG_ONE, max: DVec3::ONE },
             priority: 0,
             files: vec![record],
-            statistics: Statistics { mean_coverage: 1.0, distance: None, rays: 96 },
+            statistics: ProbeStatistics { mean_coverage: 1.0, distance: None, rays: 96 },
         };
         let path = folder.join(FILE_NAME);
         Manifest::new(&Job::default(), SplatEncoding::SrgbDisplay, Vec::new(), vec![probe]).write(&path).unwrap();
