@@ -11,7 +11,8 @@ use exr::prelude::SampleType;
 use half::f16;
 
 use super::{FileRecord, Manifest, digest};
-use crate::job::MAX_FACE_SIZE;
+use crate::encode::exr::DISTANCE_CHANNEL;
+use crate::job::{MAX_FACE_SIZE, Pixel};
 use crate::{Error, Result};
 
 /// Checks every file that the manifest at `path` lists: presence, size, hash, and that it opens with the declared size and
@@ -96,6 +97,17 @@ fn verify_exr(path: &Path, record: &FileRecord) -> Result<()> {
         let what = format!("channels {}; the manifest says {}", names.join(" "), record.channels.join(" "));
         return Err(Error::invalid(path, "header", what));
     }
+    let sample_type = match record.pixel {
+        Pixel::Half => SampleType::F16,
+        Pixel::Float => SampleType::F32,
+    };
+    for channel in channels.list.iter().filter(|channel| !channel.name.eq(DISTANCE_CHANNEL)) {
+        if channel.sample_type != sample_type {
+            let what =
+                format!("channel {} is {:?}; the manifest says {:?}", channel.name, channel.sample_type, record.pixel);
+            return Err(Error::invalid(path, "header", what));
+        }
+    }
     let mut blocks = reader.all_chunks(false).map_err(broken)?.sequential_decompressor(false);
     while let Some(block) = blocks.decompress_next_block() {
         let block = block.map_err(broken)?;
@@ -125,7 +137,7 @@ mod tests {
 
     use super::*;
     use crate::bake::ProbeStatistics;
-    use crate::job::{Job, Pixel};
+    use crate::job::Job;
     use crate::manifest::{FILE_NAME, FileFormat, FileRole, Influence, Layout, ProbeRecord, TexelSampling};
     use crate::scene::SplatEncoding;
     use crate::scene::bounds::Bounds;
@@ -180,7 +192,9 @@ mod tests {
 
     #[test]
     fn every_difference_from_the_manifest_is_found() {
-        let faults: [(&str, fn(&mut FileRecord)); 7] = [
+        type Fault = (&'static str, fn(&mut FileRecord));
+        let faults: [Fault; 8] = [
+            ("channel B is F16; the manifest says Float", |record| record.pixel = Pixel::Float),
             ("cannot be read", |record| record.path = "absent.exr".into()),
             ("does not stay in the manifest's folder", |record| record.path = "../radiance.exr".into()),
             ("does not stay in the manifest's folder", |record| record.path = "/radiance.exr".into()),

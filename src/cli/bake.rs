@@ -1,0 +1,273 @@
+//! `splatprobe bake`: a job from its file and from flags, baked.
+
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use clap::Args;
+use splatprobe::job::{
+    Frame, Job, MeshInput, Order, Pixel, ProgressStyle, ShDirection, SplatInput, Surface, Tracer, Transform,
+    parse_numbers,
+};
+use splatprobe::scene::SplatEncoding;
+use splatprobe::{Error, Result, pipeline};
+
+use super::progress;
+
+/// Bake probes: cubemaps, a contact sheet and a manifest, whose path is printed.
+///
+/// The job file holds the same settings as the flags (see `splatprobe schema job`); a flag overrides the job file.
+///
+/// Flags that describe an input (--splat-frame, --splat-transform, --splat-encoding; --mesh-transform, --mesh-scene) belong
+/// to the inputs in order, the first to the first; given once, they belong to all.
+///
+/// A transform is any of t=X,Y,Z (metres), euler=X,Y,Z (degrees about the fixed X, then Y, then Z axis) or r=X,Y,Z,W (unit
+/// quaternion), and s=K or s=X,Y,Z, separated by spaces; scale is applied first: --mesh-transform "t=1,0,-2 euler=0,90,0".
+#[derive(Debug, Args)]
+pub struct Bake {
+    /// Job file; relative paths in it are relative to its folder.
+    job: Option<PathBuf>,
+
+    /// Splat file; repeat it for more. Replaces the job file's.
+    #[arg(long, value_name = "FILE", help_heading = "Inputs")]
+    splats: Vec<PathBuf>,
+    /// What the splat file's +X +Y +Z point at: letters of r/l u/d f/b (glTF: rub, 3DGS: rdf), or raw [default: the
+    /// format's].
+    #[arg(long, value_name = "XYZ", help_heading = "Inputs")]
+    splat_frame: Vec<Frame>,
+    /// World from canonical splat coordinates [default: identity].
+    #[arg(long, value_name = "TRS", help_heading = "Inputs")]
+    splat_transform: Vec<Transform>,
+    /// What the splats' blended colours mean [default: what the format declares, else srgb-display].
+    #[arg(long, value_name = "ENCODING", help_heading = "Inputs")]
+    splat_encoding: Vec<SplatEncoding>,
+    /// glTF file; repeat it for more. Replaces the job file's.
+    #[arg(long, value_name = "FILE", help_heading = "Inputs")]
+    mesh: Vec<PathBuf>,
+    /// World from the mesh file's coordinates [default: identity].
+    #[arg(long, value_name = "TRS", help_heading = "Inputs")]
+    mesh_transform: Vec<Transform>,
+    /// Name or index of the scene in the mesh file [default: the file's].
+    #[arg(long, value_name = "SCENE", help_heading = "Inputs")]
+    mesh_scene: Vec<String>,
+    /// Linear radiance of rays that leave the scene [default: 0,0,0].
+    #[arg(long, value_name = "R,G,B", value_parser = parse_numbers::<3>, allow_hyphen_values = true, help_heading = "Inputs")]
+    background: Option<[f64; 3]>,
+
+    /// Folder for the manifest and the probes.
+    #[arg(short, long, value_name = "DIR", help_heading = "Output")]
+    output: Option<PathBuf>,
+    /// How pixels are stored [default: half].
+    #[arg(long, value_name = "TYPE", help_heading = "Output")]
+    pixel: Option<Pixel>,
+    /// Also write the mean distance along each ray, in metres [default: false].
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL", help_heading = "Output")]
+    distance: Option<bool>,
+    /// Write run times and counts to this file, as JSON.
+    #[arg(long, value_name = "FILE", help_heading = "Output")]
+    stats: Option<PathBuf>,
+
+    /// Box that the probes serve, in metres.
+    #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", value_parser = parse_numbers::<6>, allow_hyphen_values = true, help_heading = "Placement")]
+    bounds: Option<[f64; 6]>,
+    /// Probes along x, y and z; each stands in the middle of its cell of the bounds.
+    #[arg(long, value_name = "NX,NY,NZ", value_parser = parse_grid, conflicts_with = "probe", help_heading = "Placement")]
+    grid: Option<[u32; 3]>,
+    /// Probe position in metres, instead of a grid; repeat it for more.
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_numbers::<3>, allow_hyphen_values = true, help_heading = "Placement")]
+    probe: Vec<[f64; 3]>,
+    /// Fraction of the spacing by which neighbouring influence boxes overlap [default: 0.1].
+    #[arg(long, value_name = "FRACTION", help_heading = "Placement")]
+    overlap: Option<f64>,
+
+    /// Edge of a cube face, in pixels [default: 256].
+    #[arg(long, value_name = "PX", help_heading = "Tracing")]
+    face_size: Option<u32>,
+    /// Rays per pixel and axis: N x N per pixel [default: 1].
+    #[arg(long, value_name = "N", help_heading = "Tracing")]
+    samples: Option<u32>,
+    /// Blending order along a ray [default: rayHitDistance].
+    #[arg(long, value_name = "ORDER", help_heading = "Tracing")]
+    order: Option<Order>,
+    /// Direction in which colours of Gaussians are evaluated [default: mean].
+    #[arg(long, value_name = "DIRECTION", help_heading = "Tracing")]
+    sh_direction: Option<ShDirection>,
+    /// End a ray when its transmittance falls below this; 0 never does [default: 0.001].
+    #[arg(long, value_name = "SHARE", help_heading = "Tracing")]
+    t_cutoff: Option<f32>,
+    /// Ignore what is nearer than this, in metres [default: 0].
+    #[arg(long, value_name = "METRES", help_heading = "Tracing")]
+    t_near: Option<f32>,
+    /// How light leaves a mesh's surface [default: unlit].
+    #[arg(long, value_name = "MODEL", help_heading = "Tracing")]
+    surface: Option<Surface>,
+    /// What computes the radiance along rays [default: ray].
+    #[arg(long, value_name = "TRACER", help_heading = "Tracing")]
+    tracer: Option<Tracer>,
+
+    /// Threads to work with; 0 is one per core. The result does not depend on it [default: 0].
+    #[arg(long, value_name = "N", help_heading = "Running")]
+    threads: Option<usize>,
+    /// How progress is shown on stderr [default: auto].
+    #[arg(long, value_name = "STYLE", help_heading = "Running")]
+    progress: Option<ProgressStyle>,
+}
+
+impl Bake {
+    pub fn run(self) -> Result<String> {
+        let job = self.into_job()?;
+        let report = pipeline::bake(&job, &*progress::reporter(job.progress), cancelled_by_signal())?;
+        Ok(format!("{}\n", report.manifest.display()))
+    }
+
+    /// The job file's settings, or the defaults, overridden by the flags.
+    fn into_job(self) -> Result<Job> {
+        let mut job = self.job.map_or_else(|| Ok(Job::default()), |path| Job::from_file(&path))?;
+
+        if !self.splats.is_empty() {
+            job.splats = self.splats.into_iter().map(SplatInput::new).collect();
+        }
+        describe("--splat-frame", self.splat_frame, &mut job.splats, |input, frame| input.frame = Some(frame))?;
+        describe("--splat-transform", self.splat_transform, &mut job.splats, |input, world| input.transform = world)?;
+        describe("--splat-encoding", self.splat_encoding, &mut job.splats, |input, it| input.encoding = Some(it))?;
+        if !self.mesh.is_empty() {
+            job.meshes = self.mesh.into_iter().map(MeshInput::new).collect();
+        }
+        describe("--mesh-transform", self.mesh_transform, &mut job.meshes, |input, world| input.transform = world)?;
+        describe("--mesh-scene", self.mesh_scene, &mut job.meshes, |input, scene| input.scene = Some(scene))?;
+
+        // A flag for one kind of placement replaces the other kind in the job file.
+        if self.grid.is_some() {
+            job.placement.probes.clear();
+            job.placement.grid = self.grid;
+        }
+        if !self.probe.is_empty() {
+            job.placement.grid = None;
+            job.placement.probes = self.probe;
+        }
+        job.placement.bounds = self.bounds.or(job.placement.bounds);
+        job.output = self.output.or(job.output);
+        job.stats = self.stats.or(job.stats);
+
+        set(&mut job.placement.overlap, self.overlap);
+        set(&mut job.background, self.background.map(|rgb| rgb.map(|value| value as f32)));
+        set(&mut job.pixel, self.pixel);
+        set(&mut job.distance, self.distance);
+        set(&mut job.face_size, self.face_size);
+        set(&mut job.samples, self.samples);
+        set(&mut job.order, self.order);
+        set(&mut job.sh_direction, self.sh_direction);
+        set(&mut job.t_cutoff, self.t_cutoff);
+        set(&mut job.t_near, self.t_near);
+        set(&mut job.surface, self.surface);
+        set(&mut job.tracer, self.tracer);
+        set(&mut job.threads, self.threads);
+        set(&mut job.progress, self.progress);
+        Ok(job)
+    }
+}
+
+fn set<T>(field: &mut T, flag: Option<T>) {
+    if let Some(value) = flag {
+        *field = value;
+    }
+}
+
+/// Gives the values of a repeated flag to the inputs in order, or a single value to all of them.
+fn describe<I, T: Clone>(flag: &str, values: Vec<T>, inputs: &mut [I], describe: impl Fn(&mut I, T)) -> Result<()> {
+    match values.len() {
+        1 if !inputs.is_empty() => inputs.iter_mut().for_each(|input| describe(input, values[0].clone())),
+        given if given == inputs.len() || given == 0 => {
+            inputs.iter_mut().zip(values).for_each(|(input, value)| describe(input, value));
+        }
+        given => {
+            let why = format!("given {given} times for {} files: give it once for all, or once for each", inputs.len());
+            return Err(Error::request(flag, why));
+        }
+    }
+    Ok(())
+}
+
+fn parse_grid(text: &str) -> std::result::Result<[u32; 3], String> {
+    let counts: Option<Vec<u32>> = text.split(',').map(|count| count.trim().parse().ok()).collect();
+    counts
+        .and_then(|counts| counts.try_into().ok())
+        .ok_or_else(|| format!("'{text}' is not three whole numbers separated by commas"))
+}
+
+/// A flag that Ctrl-C (or a request to terminate) sets, so that the bake ends cleanly; a second one ends the process.
+fn cancelled_by_signal() -> &'static AtomicBool {
+    static CANCELLED: AtomicBool = AtomicBool::new(false);
+    let handler = || {
+        if CANCELLED.swap(true, Ordering::Relaxed) {
+            std::process::exit(1);
+        }
+    };
+    // Without a handler Ctrl-C ends the process at once, which is the system's default.
+    let _ = ctrlc::set_handler(handler);
+    &CANCELLED
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Line {
+        #[command(flatten)]
+        bake: Bake,
+    }
+
+    fn job(line: &[&str]) -> Result<Job> {
+        Line::try_parse_from([&["bake"], line].concat()).unwrap().bake.into_job()
+    }
+
+    #[test]
+    fn without_flags_a_job_is_the_default() {
+        assert_eq!(job(&[]).unwrap(), Job::default());
+    }
+
+    #[test]
+    fn every_field_of_a_job_has_a_flag_that_overrides_the_job_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("job.json");
+        let text = r#"{"splats": [{"path": "a.ply"}], "placement": {"probes": [[1, 2, 3]]}, "faceSize": 8}"#;
+        std::fs::write(&path, text).unwrap();
+        let line = "--splats b.ply --splat-frame rub --splat-transform s=2 --splat-encoding lin-scene --mesh c.glb \
+            --mesh-transform t=1,2,3 --mesh-scene 1 --background 1,2,3 -o out --pixel float --distance --stats s.json \
+            --bounds -1,-2,-3,1,2,3 --grid 2,3,4 --overlap 0.5 --face-size 16 --samples 2 --order cameraDistance \
+            --sh-direction ray --t-cutoff 0 --t-near 0.5 --surface unlit --tracer reference --threads 3 --progress json";
+        let line: Vec<&str> = [path.to_str().unwrap()].into_iter().chain(line.split_whitespace()).collect();
+        let expected = r#"{
+            "splats": [{"path": "b.ply", "frame": "rub", "transform": {"scale": [2, 2, 2]}, "encoding": "lin-scene"}],
+            "meshes": [{"path": "c.glb", "transform": {"translation": [1, 2, 3]}, "scene": "1"}],
+            "output": "out", "stats": "s.json", "progress": "json", "threads": 3, "background": [1, 2, 3],
+            "pixel": "float", "distance": true, "faceSize": 16, "samples": 2, "order": "cameraDistance",
+            "shDirection": "ray", "tCutoff": 0, "tNear": 0.5, "surface": "unlit", "tracer": "reference",
+            "placement": {"bounds": [-1, -2, -3, 1, 2, 3], "grid": [2, 3, 4], "overlap": 0.5}
+        }"#;
+        assert_eq!(job(&line).unwrap(), serde_json::from_str(expected).unwrap());
+    }
+
+    #[test]
+    fn a_description_belongs_to_the_input_of_its_place_or_to_all() {
+        let two = ["--splats", "a.ply", "--splats", "b.ply"];
+        let frames = |line: &[&str]| {
+            job(&[&two, line].concat()).map(|job| job.splats.iter().map(|input| input.frame).collect::<Vec<_>>())
+        };
+        let each = frames(&["--splat-frame", "rub", "--splat-frame", "rdf"]).unwrap();
+        assert_eq!(each, [Some(Frame::RUB), Some(Frame::RDF)]);
+        assert_eq!(frames(&["--splat-frame", "rdf"]).unwrap(), [Some(Frame::RDF); 2]);
+        let error = frames(&["--splat-frame", "rub", "--splat-frame", "rdf", "--splat-frame", "rdf"]).unwrap_err();
+        assert!(error.to_string().contains("--splat-frame: given 3 times for 2 files"), "{error}");
+        assert!(job(&["--mesh-scene", "1"]).is_err());
+    }
+
+    #[test]
+    fn probe_positions_may_be_negative_and_repeat() {
+        let job = job(&["--probe", "-1,-2.5,3", "--probe", "0,0,-1e1", "--distance=false"]).unwrap();
+        assert_eq!(job.placement.probes, [[-1.0, -2.5, 3.0], [0.0, 0.0, -10.0]]);
+        assert!(!job.distance);
+    }
+}

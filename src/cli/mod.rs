@@ -1,0 +1,48 @@
+//! The command line: declares flags, maps them to library calls, reports. One file per subcommand.
+
+mod bake;
+mod compare;
+mod inspect;
+mod progress;
+mod schema;
+mod verify;
+
+use clap::{Parser, Subcommand};
+use splatprobe::Result;
+
+/// Bakes HDR reflection probes from 3D Gaussian splat scenes and the glTF meshes placed in them.
+///
+/// Status goes to stderr, data to stdout. Exit codes: 0 done, 1 the bake failed, 2 the request or an input is wrong.
+#[derive(Debug, Parser)]
+#[command(version)]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Bake(Box<bake::Bake>),
+    Inspect(inspect::Inspect),
+    Verify(verify::Verify),
+    Compare(compare::Compare),
+    Schema(schema::Schema),
+}
+
+impl Cli {
+    /// Runs the subcommand; the answer is its data for stdout.
+    pub fn run(self) -> Result<String> {
+        match self.command {
+            Command::Bake(command) => command.run(),
+            Command::Inspect(command) => command.run(),
+            Command::Verify(command) => command.run(),
+            Command::Compare(command) => command.run(),
+            Command::Schema(command) => command.run(),
+        }
+    }
+}
+
+/// JSON for people and programs: indented, with a final newline.
+fn json(value: &serde_json::Value) -> String {
+    format!("{value:#}\n")
+}

@@ -1,0 +1,202 @@
+//! The command line tool as scripts use it: exit codes, streams, and a whole bake.
+
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+use serde_json::{Value, json};
+
+fn splatprobe(folder: &Path, line: &str) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_splatprobe")).args(line.split_whitespace()).current_dir(folder).output().unwrap()
+}
+
+fn code(output: &Output) -> Option<i32> {
+    output.status.code()
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+/// Runs a line that must succeed; the answer is its stdout.
+fn data(folder: &Path, line: &str) -> String {
+    let output = splatprobe(folder, line);
+    assert_eq!(code(&output), Some(0), "{line}: {}", stderr(&output));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// A PLY of one large grey Gaussian, 2 m down the -Z axis of the canonical frame, in a folder of its own.
+fn scene() -> tempfile::TempDir {
+    let properties = [
+        "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1",
+        "rot_2", "rot_3",
+    ];
+    let header: String = properties.iter().map(|name| format!("property float {name}\n")).collect();
+    let values = "0 0 2 0 0 0 4 0 0 0 1 0 0 0\n";
+    let ply = format!("ply\nformat ascii 1.0\nelement vertex 1\n{header}end_header\n{values}");
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("one.ply"), ply).unwrap();
+    folder
+}
+
+const BAKE: &str = "bake --splats one.ply --bounds -1,-1,-1,1,1,1 --grid 2,1,1 --face-size 8";
+
+/// Every file under `folder` with its content.
+fn contents(folder: &Path) -> Vec<(String, Vec<u8>)> {
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_name().unwrap().to_str().unwrap().to_owned();
+        if path.is_dir() {
+            files.extend(contents(&path).into_iter().map(|(inner, bytes)| (format!("{name}/{inner}"), bytes)));
+        } else {
+            files.push((name, std::fs::read(&path).unwrap()));
+        }
+    }
+    files.sort();
+    files
+}
+
+#[test]
+fn a_bake_is_the_files_that_its_manifest_lists_and_verifies() {
+    let folder = scene();
+    let manifest = data(folder.path(), &format!("{BAKE} -o out --distance --stats stats.json"));
+    assert_eq!(Path::new(manifest.trim_end()), Path::new("out/manifest.json"));
+    let names: Vec<String> = contents(&folder.path().join("out")).into_iter().map(|(name, _)| name).collect();
+    assert_eq!(names, ["manifest.json", "preview.png", "probe_000/radiance.exr", "probe_001/radiance.exr"]);
+    assert_eq!(data(folder.path(), "verify out"), "");
+
+    let manifest = std::fs::read_to_string(folder.path().join("out/manifest.json")).unwrap();
+    let manifest: Value = serde_json::from_str(&manifest).unwrap();
+    let schema: Value = serde_json::from_str(&data(folder.path(), "schema manifest")).unwrap();
+    jsonschema::validator_for(&schema).unwrap().validate(&manifest).unwrap();
+    assert_eq!(manifest["probes"][0]["position"], json!([-0.5, 0.0, 0.0]));
+    assert_eq!(manifest["probes"][0]["files"][0]["channels"], json!(["A", "B", "G", "R", "Z"]));
+    assert_eq!(manifest["inputs"][0]["path"], "one.ply");
+    let coverage = manifest["probes"][0]["statistics"]["meanCoverage"].as_f64().unwrap();
+    assert!(coverage > 0.05 && coverage < 0.95, "one Gaussian covers a part: {coverage}");
+
+    let stats: Value =
+        serde_json::from_str(&std::fs::read_to_string(folder.path().join("stats.json")).unwrap()).unwrap();
+    assert_eq!(stats["rays"], 2 * 6 * 8 * 8);
+    assert!(stats["seconds"]["bake"].as_f64().unwrap() > 0.0);
+}
+
+#[test]
+fn output_is_the_same_for_any_threads_folder_and_way_to_say_it() {
+    let folder = scene();
+    data(folder.path(), &format!("{BAKE} -o one --threads 1"));
+    data(folder.path(), &format!("{BAKE} -o deeper/three --threads 3"));
+    let job = json!({
+        "splats": [{"path": "../one.ply"}], "output": "out", "faceSize": 99, "progress": "none",
+        "placement": {"bounds": [-1, -1, -1, 1, 1, 1], "grid": [2, 1, 1]}
+    });
+    std::fs::create_dir(folder.path().join("jobs")).unwrap();
+    std::fs::write(folder.path().join("jobs/job.json"), job.to_string()).unwrap();
+    data(folder.path(), "bake jobs/job.json --face-size 8");
+    let [one, three, by_job] = ["one", "deeper/three", "jobs/out"].map(|out| contents(&folder.path().join(out)));
+    assert!(one == three);
+    assert!(one == by_job);
+    let compared: Value = serde_json::from_str(&data(folder.path(), "compare one jobs/out")).unwrap();
+    assert_eq!(compared["overall"]["linear"]["rmse"], 0.0);
+}
+
+#[test]
+fn the_ray_tracer_agrees_with_the_reference() {
+    let folder = scene();
+    data(folder.path(), &format!("{BAKE} -o ray --pixel float --t-cutoff 0"));
+    data(folder.path(), &format!("{BAKE} -o reference --pixel float --tracer reference"));
+    let compared: Value = serde_json::from_str(&data(folder.path(), "compare reference ray")).unwrap();
+    let error = compared["overall"]["linear"]["maxAbs"].as_f64().unwrap();
+    assert!(error < 1e-4, "{error}");
+}
+
+#[test]
+fn a_damaged_bake_fails_to_verify_with_its_file_named() {
+    let folder = scene();
+    data(folder.path(), &format!("{BAKE} -o out"));
+    let file = folder.path().join("out/probe_001/radiance.exr");
+    let mut content = std::fs::read(&file).unwrap();
+    *content.last_mut().unwrap() ^= 1;
+    std::fs::write(&file, content).unwrap();
+    let output = splatprobe(folder.path(), "verify out/manifest.json");
+    assert_eq!(code(&output), Some(2));
+    assert!(stderr(&output).contains("probe_001"), "{}", stderr(&output));
+    assert!(!stderr(&output).contains("probe_000"), "{}", stderr(&output));
+}
+
+#[test]
+fn a_failed_bake_leaves_earlier_output_and_no_rest() {
+    let folder = scene();
+    data(folder.path(), &format!("{BAKE} -o out"));
+    let before = contents(folder.path());
+    let output = splatprobe(folder.path(), &format!("{BAKE} -o out --splats absent.ply"));
+    assert_eq!(code(&output), Some(2));
+    assert!(stderr(&output).contains("absent.ply"), "{}", stderr(&output));
+    assert!(contents(folder.path()) == before);
+}
+
+#[test]
+fn wrong_requests_exit_with_2_and_name_the_flag() {
+    let folder = scene();
+    for (line, named) in [
+        ("bake --splats one.ply -o out", "--grid"),
+        ("bake --splats one.ply --probe 0,0,0", "-o"),
+        ("bake --probe 0,0,0 -o out", "--splats"),
+        ("bake --splats one.ply --probe 0,0,0 -o out --face-size 0", "--face-size"),
+        ("bake --splats one.ply --probe 0,0 -o out", "--probe"),
+        ("bake --splats one.ply --tracer guess -o out", "--tracer"),
+        ("bake --splats one.ply --splat-frame right -o out", "--splat-frame"),
+        ("bake --unknown", "--unknown"),
+        ("bake absent.json", "absent.json"),
+        ("verify absent", "absent"),
+        ("inspect absent.ply", "absent.ply"),
+        ("compare absent.exr absent.exr", "absent.exr"),
+        ("", "Usage"),
+    ] {
+        let output = splatprobe(folder.path(), line);
+        assert_eq!(code(&output), Some(2), "{line}: {}", stderr(&output));
+        assert!(stderr(&output).contains(named), "{line}: {}", stderr(&output));
+        assert!(output.stdout.is_empty(), "{line}");
+    }
+    assert!(!folder.path().join("out").exists());
+}
+
+#[test]
+fn an_output_that_cannot_be_written_exits_with_1() {
+    let folder = scene();
+    let output = splatprobe(folder.path(), &format!("{BAKE} -o one.ply/out"));
+    assert_eq!(code(&output), Some(1), "{}", stderr(&output));
+}
+
+#[test]
+fn json_progress_is_one_event_per_line_from_begin_to_finish() {
+    let folder = scene();
+    let output = splatprobe(folder.path(), &format!("{BAKE} -o out --progress json"));
+    let events: Vec<Value> = stderr(&output).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(events.first().unwrap()["event"], "begin");
+    let last = events.last().unwrap();
+    assert_eq!((&last["event"], &last["probesDone"], &last["raysDone"]), (&json!("finish"), &json!(2), &last["rays"]));
+}
+
+#[test]
+fn inspect_prints_a_json_list() {
+    let folder = scene();
+    let reports: Value = serde_json::from_str(&data(folder.path(), "inspect one.ply one.ply")).unwrap();
+    assert_eq!(reports.as_array().unwrap().len(), 2);
+    assert_eq!(reports[0]["count"], 1);
+}
+
+#[test]
+fn a_reader_that_closes_early_is_no_failure() {
+    let folder = scene();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_splatprobe"))
+        .args(["schema", "manifest"])
+        .current_dir(folder.path())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!((code(&output), stderr(&output)), (Some(0), String::new()));
+}
