@@ -19,7 +19,7 @@ fn main() -> ExitCode {
     match cli.run() {
         Ok(data) => print(&data),
         Err(error) => {
-            eprintln!("splatprobe: {error}");
+            cli::status(format_args!("splatprobe: {error}"));
             ExitCode::from(error.exit_code())
         }
     }
@@ -30,7 +30,7 @@ fn print(data: &str) -> ExitCode {
     let mut stdout = std::io::stdout().lock();
     match stdout.write_all(data.as_bytes()).and_then(|()| stdout.flush()) {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => {
-            eprintln!("splatprobe: stdout: {error}");
+            cli::status(format_args!("splatprobe: stdout: {error}"));
             ExitCode::FAILURE
         }
         _ => ExitCode::SUCCESS,

@@ -136,6 +136,17 @@ fn a_failed_bake_leaves_earlier_output_and_no_rest() {
 }
 
 #[test]
+fn a_smaller_bake_removes_the_probes_of_an_earlier_one_and_nothing_else() {
+    let folder = scene();
+    data(folder.path(), &format!("{BAKE} -o out"));
+    std::fs::write(folder.path().join("out/mine.txt"), "").unwrap();
+    data(folder.path(), "bake --splats one.ply --probe 0,0,0 --face-size 8 -o out");
+    let names: Vec<String> = contents(&folder.path().join("out")).into_iter().map(|(name, _)| name).collect();
+    assert_eq!(names, ["manifest.json", "mine.txt", "preview.png", "probe_000/radiance.exr"]);
+    assert!(!folder.path().join("out/probe_001").exists());
+}
+
+#[test]
 fn wrong_requests_exit_with_2_and_name_the_flag() {
     let folder = scene();
     for (line, named) in [
@@ -187,16 +198,17 @@ fn inspect_prints_a_json_list() {
 }
 
 #[test]
-fn a_reader_that_closes_early_is_no_failure() {
+fn readers_that_close_early_are_no_failure() {
     let folder = scene();
-    let mut child = Command::new(env!("CARGO_BIN_EXE_splatprobe"))
-        .args(["schema", "manifest"])
-        .current_dir(folder.path())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    drop(child.stdout.take());
-    let output = child.wait_with_output().unwrap();
-    assert_eq!((code(&output), stderr(&output)), (Some(0), String::new()));
+    for line in ["schema manifest".to_owned(), format!("{BAKE} -o out --progress plain")] {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_splatprobe"))
+            .args(line.split_whitespace())
+            .current_dir(folder.path())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        drop((child.stdout.take(), child.stderr.take()));
+        assert_eq!(child.wait().unwrap().code(), Some(0), "{line}");
+    }
 }

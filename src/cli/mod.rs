@@ -7,6 +7,8 @@ mod progress;
 mod schema;
 mod verify;
 
+use std::io::Write;
+
 use clap::{Parser, Subcommand};
 use splatprobe::Result;
 
@@ -45,4 +47,9 @@ impl Cli {
 /// JSON for people and programs: indented, with a final newline.
 fn json(value: &serde_json::Value) -> String {
     format!("{value:#}\n")
+}
+
+/// A line of status on stderr. Where nobody reads it any more, the work goes on.
+pub fn status(line: impl std::fmt::Display) {
+    let _ = writeln!(std::io::stderr(), "{line}");
 }

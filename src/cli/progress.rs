@@ -81,7 +81,7 @@ impl Lines {
         change(&mut meter);
         if event != Event::Progress || meter.reported.elapsed() >= INTERVAL {
             meter.reported = Instant::now();
-            eprintln!("{}", (self.format)(event, &meter));
+            super::status((self.format)(event, &meter));
         }
     }
 }

@@ -19,7 +19,7 @@ impl Verify {
         let path = if self.manifest.is_dir() { self.manifest.join(manifest::FILE_NAME) } else { self.manifest };
         let problems = manifest::verify(&path)?;
         for problem in &problems {
-            eprintln!("splatprobe: {problem}");
+            super::status(format_args!("splatprobe: {problem}"));
         }
         match problems.len() {
             0 => Ok(String::new()),

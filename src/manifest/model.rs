@@ -1,5 +1,7 @@
 //! The manifest as types. The order of fields is the order in the file.
 
+use std::path::{Component, Path, PathBuf};
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -173,6 +175,15 @@ pub struct FileRecord {
     /// BLAKE3 hash of the content, in hexadecimal.
     #[schemars(regex(pattern = "^[0-9a-f]{64}$"))]
     pub blake3: String,
+}
+
+impl FileRecord {
+    /// The file, for a manifest in `folder`; `None` when its path leads out of there.
+    pub fn path_in(&self, folder: &Path) -> Option<PathBuf> {
+        let mut components = Path::new(&self.path).components();
+        let stays = !self.path.is_empty() && components.all(|component| matches!(component, Component::Normal(_)));
+        stays.then(|| folder.join(&self.path))
+    }
 }
 
 /// What a probe's file is for.

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::BufReader;
-use std::path::{Component, Path};
+use std::path::{Path, PathBuf};
 
 use exr::block::lines::LineRef;
 use exr::block::reader::{ChunksReader, Reader};
@@ -37,8 +37,8 @@ pub fn verify(path: &Path) -> Result<Vec<Error>> {
             problems.push(Error::invalid(path, place("/files"), "the probe has no files"));
         }
         for (k, record) in probe.files.iter().enumerate() {
-            match check_record(record) {
-                Ok(()) => problems.extend(verify_file(&folder.join(&record.path), record)),
+            match check_record(folder, record) {
+                Ok(file) => problems.extend(verify_file(&file, record)),
                 Err(what) => problems.push(Error::invalid(path, place(&format!("/files/{k}")), what)),
             }
         }
@@ -46,16 +46,14 @@ pub fn verify(path: &Path) -> Result<Vec<Error>> {
     Ok(problems)
 }
 
-/// What the record says by itself. The bound on its size also bounds what reading the file may allocate.
-fn check_record(record: &FileRecord) -> std::result::Result<(), String> {
-    let mut components = Path::new(&record.path).components();
-    if record.path.is_empty() || !components.all(|component| matches!(component, Component::Normal(_))) {
-        return Err(format!("path '{}' does not stay in the manifest's folder", record.path));
-    }
+/// The file's path, when what the record says is sound by itself. The bound on its size also bounds what reading the file
+/// may allocate.
+fn check_record(folder: &Path, record: &FileRecord) -> std::result::Result<PathBuf, String> {
     if !(1..=MAX_FACE_SIZE).contains(&record.width) || record.height != 6 * record.width {
         return Err(format!("{} x {} pixels are not a strip of six square faces", record.width, record.height));
     }
-    Ok(())
+    let path = record.path_in(folder);
+    path.ok_or_else(|| format!("path '{}' does not stay in the manifest's folder", record.path))
 }
 
 fn verify_file(path: &Path, record: &FileRecord) -> Vec<Error> {
@@ -143,7 +141,7 @@ mod tests {
     use crate::scene::bounds::Bounds;
 
     /// A bake of one probe with faces of 4 pixels; `value` is one of its pixels.
-    fn bake(folder: &Path, value: f32, change: impl FnOnce(&mut FileRecord)) -> std::path::PathBuf {
+    fn bake(folder: &Path, value: f32, change: impl FnOnce(&mut FileRecord)) -> PathBuf {
         let file = folder.join("radiance.exr");
         let pixel = move |position: Vec2<usize>| match position {
             Vec2(3, 20) => (f16::from_f32(value), f16::ONE, f16::ONE),

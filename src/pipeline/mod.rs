@@ -1,30 +1,27 @@
 //! The whole bake, top to bottom.
 
-use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+mod output;
+
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use glam::{DVec3, Vec3};
 use serde::Serialize;
 
-use crate::bake::{self, BakeSettings, Cubemap, ProbeStatistics, Progress};
+use self::output::Output;
+use crate::bake::{self, BakeSettings, Progress};
 use crate::bvh::Bvh;
-use crate::encode::exr::{DISTANCE_CHANNEL, RADIANCE_FILE, write_cubemap};
-use crate::encode::preview::{ContactSheet, write_png};
 use crate::ingest::{self, SceneReport};
-use crate::job::{Job, Pixel, Placement, Surface, Tracer};
-use crate::manifest::{
-    self, FileFormat, FileRecord, FileRole, Influence, InputRecord, Layout, Manifest, ProbeRecord, TexelSampling,
-};
+use crate::job::{Job, Placement, Surface, Tracer};
+use crate::manifest::{self, InputRecord, Manifest};
 use crate::place::{self, Probe};
-use crate::scene::{LinearRgb, Scene, bounds};
+use crate::scene::{LinearRgb, Scene};
 use crate::shade::UnlitSurfaces;
 use crate::trace::{RayTracer, ReferenceTracer, Surfaces, TileTracer, TraceSettings};
 use crate::{Error, Result};
 
-/// Name of the contact sheet of all probes in the output folder.
-pub const PREVIEW_FILE: &str = "preview.png";
+pub use output::PREVIEW_FILE;
 
 /// What a bake did and how long it took; the content of `--stats`.
 #[derive(Debug, Clone, Serialize)]
@@ -151,113 +148,4 @@ fn input_records(job: &Job, scene: &SceneReport) -> Result<Vec<InputRecord>> {
             Ok(InputRecord { path: name, bytes, blake3, report })
         })
         .collect()
-}
-
-/// A bake's files on their way to the output folder.
-struct Output {
-    folder: PathBuf,
-    /// Inside `folder`, so that moving out of it is a rename; removes itself.
-    staging: tempfile::TempDir,
-    pixel: Pixel,
-    written: Mutex<Written>,
-}
-
-struct Written {
-    records: Vec<Option<ProbeRecord>>,
-    preview: ContactSheet,
-    clamped_values: usize,
-}
-
-struct Published {
-    manifest: PathBuf,
-    clamped_values: usize,
-}
-
-impl Output {
-    fn begin(job: &Job, probes: usize) -> Result<Self> {
-        let folder =
-            job.output.clone().ok_or_else(|| Error::request("-o", "give the folder to write the probes to"))?;
-        let make = || {
-            std::fs::create_dir_all(&folder)?;
-            tempfile::Builder::new().prefix(".splatprobe-").tempdir_in(&folder)
-        };
-        let staging = make().map_err(|source| Error::write(&folder, source))?;
-        let written = Written {
-            records: vec![None; probes],
-            // Validation keeps the number of probes far below 2^32.
-            preview: ContactSheet::new(probes as u32, job.face_size),
-            clamped_values: 0,
-        };
-        Ok(Self { folder, staging, pixel: job.pixel, written: Mutex::new(written) })
-    }
-
-    /// Called on many threads at once.
-    fn write_probe(&self, index: usize, probe: &Probe, cubemap: &Cubemap, statistics: ProbeStatistics) -> Result<()> {
-        let folder = self.staging.path().join(&probe.id);
-        std::fs::create_dir(&folder).map_err(|source| Error::write(&folder, source))?;
-        let path = folder.join(RADIANCE_FILE);
-        let clamped = write_cubemap(&path, cubemap, self.pixel)?;
-        let record = probe_record(probe, vec![radiance_record(&path, probe, cubemap, self.pixel)?], statistics);
-        // A panic on another thread ends the bake by itself.
-        if let Ok(mut written) = self.written.lock() {
-            written.records[index] = Some(record);
-            written.preview.draw(index as u32, cubemap);
-            written.clamped_values += clamped;
-        }
-        Ok(())
-    }
-
-    /// Moves everything to its final place, the manifest last.
-    fn publish(self, manifest: impl FnOnce(Vec<ProbeRecord>) -> Manifest) -> Result<Published> {
-        let written = self.written.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
-        let staging = self.staging.path();
-        write_png(&staging.join(PREVIEW_FILE), written.preview.image())?;
-        let manifest = manifest(written.records.into_iter().flatten().collect());
-        let files = manifest.probes.iter().flat_map(|probe| &probe.files).map(|file| file.path.as_str());
-        for file in files.chain([PREVIEW_FILE]) {
-            rename(&staging.join(file), &self.folder.join(file))?;
-        }
-        let path = self.folder.join(manifest::FILE_NAME);
-        manifest.write(&path)?;
-        Ok(Published { manifest: path, clamped_values: written.clamped_values })
-    }
-}
-
-fn rename(from: &Path, to: &Path) -> Result<()> {
-    let rename = || {
-        to.parent().map_or(Ok(()), std::fs::create_dir_all)?;
-        std::fs::rename(from, to)
-    };
-    rename().map_err(|source| Error::write(to, source))
-}
-
-fn radiance_record(path: &Path, probe: &Probe, cubemap: &Cubemap, pixel: Pixel) -> Result<FileRecord> {
-    let (bytes, blake3) = manifest::digest(path)?;
-    let distance = cubemap.distance.as_ref().map(|_| DISTANCE_CHANNEL);
-    Ok(FileRecord {
-        path: format!("{}/{RADIANCE_FILE}", probe.id),
-        role: FileRole::Radiance,
-        format: FileFormat::Exr,
-        layout: Layout::Strip,
-        width: cubemap.face_size,
-        height: 6 * cubemap.face_size,
-        pixel,
-        texel_sampling: TexelSampling::Center,
-        channels: ["A", "B", "G", "R"].into_iter().chain(distance).map(String::from).collect(),
-        bytes,
-        blake3,
-    })
-}
-
-fn probe_record(probe: &Probe, files: Vec<FileRecord>, statistics: ProbeStatistics) -> ProbeRecord {
-    let place::Bounds { min, max } = probe.influence;
-    ProbeRecord {
-        id: probe.id.clone(),
-        position: probe.position.into(),
-        influence: Influence { min: min.into(), max: max.into(), blend: probe.blend },
-        proxy: bounds::Bounds { min, max },
-        priority: 0,
-        files,
-        statistics,
-    }
 }
