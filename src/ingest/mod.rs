@@ -1,5 +1,7 @@
 //! Files -> scene, in physical units and the canonical frame. One file per format; the format is known by content.
 
+pub mod gltf;
+
 mod gather;
 mod ply;
 mod report;
@@ -33,11 +35,11 @@ const CHUNK: usize = 4096;
 /// used, [`Error::Request`] when inputs do not fit together or a transform is singular.
 pub fn load_scene(splats: &[SplatInput], meshes: &[MeshInput]) -> Result<(Scene, SceneReport)> {
     let loaded = load_splats(splats)?;
-    if let Some(mesh) = meshes.first() {
-        return Err(Error::unsupported(&mesh.path, "mesh inputs"));
-    }
-    let scene = Scene { origin: loaded.origin, splats: loaded.splats, encoding: loaded.encoding, ..Scene::default() };
-    Ok((scene, SceneReport { splats: loaded.reports }))
+    let mut scene =
+        Scene { origin: loaded.origin, splats: loaded.splats, encoding: loaded.encoding, ..Scene::default() };
+    let load_mesh = |input| gltf::load(input, loaded.origin, &mut scene.meshes);
+    let mesh_reports = meshes.iter().map(load_mesh).collect::<Result<_>>()?;
+    Ok((scene, SceneReport { splats: loaded.reports, meshes: mesh_reports }))
 }
 
 /// What is in the splat file at `path`, understood with the format's defaults. Errors as in [`load_scene`].

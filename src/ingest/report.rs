@@ -7,6 +7,7 @@ use glam::DVec3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::gltf::MeshReport;
 use super::sanitize::Dropped;
 use crate::job::Frame;
 use crate::scene::bounds::{Bounds, robust_bounds};
@@ -50,6 +51,8 @@ pub struct SplatReport {
 pub struct SceneReport {
     /// One per splat input, in their order.
     pub splats: Vec<SplatReport>,
+    /// One per mesh input, in their order.
+    pub meshes: Vec<MeshReport>,
 }
 
 /// A distribution by its percentiles: the value that so many per cent of the Gaussians do not exceed.

@@ -1,5 +1,7 @@
 //! Triangles, materials and textures of all mesh inputs, flattened into world space.
 
+use std::sync::Arc;
+
 use glam::{Mat3, Vec2, Vec3, Vec4};
 
 use super::LinearRgb;
@@ -106,8 +108,9 @@ pub struct Texture {
     pub width: u32,
     /// Rows; row 0 is the top of the image.
     pub height: u32,
-    /// RGBA, 8 bit, row by row, as the file encodes them (colour sRGB-encoded, alpha linear).
-    pub rgba: Vec<[u8; 4]>,
+    /// RGBA, 8 bit, row by row, as the file encodes them (colour sRGB-encoded, alpha linear). Textures that differ
+    /// only in their sampler share it.
+    pub rgba: Arc<[[u8; 4]]>,
     /// Wrapping in u and v.
     pub wrap: [Wrap; 2],
     /// Nearest pixel instead of bilinear.

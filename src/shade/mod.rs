@@ -1,1 +1,6 @@
-//! shade
+//! What leaves a surface: textures and materials.
+
+pub mod texture;
+mod unlit;
+
+pub use unlit::UnlitSurfaces;

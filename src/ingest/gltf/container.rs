@@ -1,0 +1,182 @@
+//! The file itself: GLB or JSON, its typed root, its extensions, and look-ups that name what is missing.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use gltf::json::root::Get;
+use gltf::json::{Index, Root};
+use serde::Deserialize;
+use serde_json::Value;
+
+use super::resource;
+use crate::{Error, Result};
+
+/// Extensions whose effect on geometry and unlit colour is implemented.
+const SUPPORTED: [&str; 5] = [
+    "KHR_materials_unlit",
+    "KHR_materials_emissive_strength",
+    "KHR_texture_transform",
+    "KHR_mesh_quantization",
+    "EXT_mesh_gpu_instancing",
+];
+
+/// Extensions that a file may require although they are not implemented: they shape reflected light, motion or
+/// metadata, and neither geometry nor emission nor base colour.
+const WITHOUT_EFFECT: [&str; 11] = [
+    "KHR_lights_punctual",
+    "KHR_materials_anisotropy",
+    "KHR_materials_clearcoat",
+    "KHR_materials_dispersion",
+    "KHR_materials_ior",
+    "KHR_materials_iridescence",
+    "KHR_materials_sheen",
+    "KHR_materials_specular",
+    "KHR_materials_variants",
+    "KHR_animation_pointer",
+    "KHR_xmp_json_ld",
+];
+
+/// A parsed glTF file with its buffers. Every index in `root` is unchecked until it went through [`Asset::get`].
+pub struct Asset {
+    /// The file, for messages.
+    pub path: PathBuf,
+    /// Folder that relative URIs start from.
+    pub folder: PathBuf,
+    /// The typed JSON. It is not validated by the `gltf` crate, whose rules reject extensions that we read.
+    pub root: Root,
+    /// `nodes` again, with the transforms in the f64 that JSON has; `root` rounds them to f32.
+    pub local_transforms: Vec<LocalTransform>,
+    /// Content of each buffer, cut to its byteLength.
+    pub buffers: Vec<Arc<[u8]>>,
+}
+
+/// How a node stands in its parent, as written: `matrix` (column by column) or translation, rotation and scale.
+#[derive(Debug, Default, Clone, PartialEq, Deserialize)]
+#[serde(default)]
+pub struct LocalTransform {
+    /// 4 x 4, column by column.
+    pub matrix: Option<[f64; 16]>,
+    /// Along x, y, z.
+    pub translation: Option<[f64; 3]>,
+    /// Quaternion x, y, z, w.
+    pub rotation: Option<[f64; 4]>,
+    /// Factors along x, y, z.
+    pub scale: Option<[f64; 3]>,
+}
+
+impl Asset {
+    /// Reads the file at `path`, whichever of GLB and JSON it holds, and the buffers that it names.
+    pub fn read(path: &Path) -> Result<Self> {
+        let bytes = std::fs::read(path).map_err(|e| Error::read(path, e))?;
+        let (json, glb_chunk) = if bytes.starts_with(b"glTF") { split_glb(path, &bytes)? } else { (&bytes[..], None) };
+        let json_error = |e: serde_json::Error| {
+            Error::invalid(path, format!("JSON line {}, column {}", e.line(), e.column()), format!("not glTF: {e}"))
+        };
+        let value: Value = serde_json::from_slice(json).map_err(json_error)?;
+        check_version_and_extensions(path, &value)?;
+        let local_transforms = match value.get("nodes") {
+            Some(nodes) => Vec::deserialize(nodes).map_err(|e| Error::invalid(path, "/nodes", e.to_string()))?,
+            None => Vec::new(),
+        };
+        let root = Root::deserialize(value).map_err(|e| Error::invalid(path, "JSON", format!("not glTF 2.0: {e}")))?;
+        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_path_buf();
+        let mut asset = Self { path: path.to_path_buf(), folder, root, local_transforms, buffers: Vec::new() };
+        asset.buffers = resource::read_buffers(&asset, glb_chunk)?;
+        Ok(asset)
+    }
+
+    /// The object that `index` means, or an error that says which property `place` pointed nowhere.
+    pub fn get<T>(&self, index: Index<T>, place: &str) -> Result<&T>
+    where
+        Root: Get<T>,
+    {
+        let missing = || self.invalid(place, format!("index {} is out of range", index.value()));
+        self.root.get(index).ok_or_else(missing)
+    }
+
+    /// An error about this file's content at `place`.
+    pub fn invalid(&self, place: impl Into<String>, what: impl Into<String>) -> Error {
+        Error::invalid(&self.path, place, what)
+    }
+
+    /// An error about a feature of this file that is not implemented.
+    pub fn unsupported(&self, what: impl Into<String>) -> Error {
+        Error::unsupported(&self.path, what)
+    }
+
+    /// Extensions that the file uses and this program passes over.
+    pub fn ignored_extensions(&self) -> Vec<String> {
+        self.root.extensions_used.iter().filter(|name| !SUPPORTED.contains(&name.as_str())).cloned().collect()
+    }
+
+    /// Bytes of all buffers together: what the size of anything decoded is measured against.
+    pub fn buffer_bytes(&self) -> usize {
+        self.buffers.iter().map(|b| b.len()).sum()
+    }
+}
+
+/// How messages call element `index` of the array `kind`: `/nodes/3 ('Wheel')`.
+pub fn place(kind: &str, index: usize, name: Option<&str>) -> String {
+    match name {
+        Some(name) => format!("/{kind}/{index} ('{name}')"),
+        None => format!("/{kind}/{index}"),
+    }
+}
+
+/// Version and required extensions, from the untyped JSON: a file that asks for more than we have may well not fit
+/// the typed root, and the missing feature is the better message.
+fn check_version_and_extensions(path: &Path, value: &Value) -> Result<()> {
+    let asset = value.get("asset").ok_or_else(|| Error::invalid(path, "/asset", "missing: this is not glTF 2.0"))?;
+    for key in ["version", "minVersion"] {
+        if let Some(version) = asset.get(key).and_then(Value::as_str)
+            && !(version == "2.0" || key == "version" && version.starts_with("2."))
+        {
+            return Err(Error::unsupported(path, format!("glTF {key} {version}; export it as glTF 2.0")));
+        }
+    }
+    let required = value.get("extensionsRequired").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
+    for name in required.iter().filter_map(Value::as_str) {
+        if !SUPPORTED.contains(&name) && !WITHOUT_EFFECT.contains(&name) {
+            return Err(Error::unsupported(path, format!("{name}, which the file requires; export it without")));
+        }
+    }
+    Ok(())
+}
+
+/// JSON and BIN chunk of a GLB (glTF 2.0, section 4.4). Unknown chunks are passed over, as the format asks.
+fn split_glb<'a>(path: &Path, bytes: &'a [u8]) -> Result<(&'a [u8], Option<&'a [u8]>)> {
+    let word = |at: usize| -> Result<usize> {
+        match bytes.get(at..).and_then(<[u8]>::first_chunk) {
+            Some(word) => Ok(u32::from_le_bytes(*word) as usize),
+            None => Err(Error::invalid(path, format!("byte {at}"), "the GLB ends inside a header; it is truncated")),
+        }
+    };
+    let version = word(4)?;
+    if version != 2 {
+        return Err(Error::unsupported(path, format!("GLB version {version}; export it as glTF 2.0")));
+    }
+    let length = word(8)?;
+    if length > bytes.len() {
+        let what = format!("the header promises {length} bytes, the file has {}; it is truncated", bytes.len());
+        return Err(Error::invalid(path, "byte 8", what));
+    }
+    let (mut json, mut bin) = (None, None);
+    let mut at = 12;
+    while at < length {
+        let chunk_length = word(at)?;
+        let kind = word(at + 4)?;
+        let start = at + 8;
+        let chunk = bytes[..length].get(start..start.saturating_add(chunk_length)).ok_or_else(|| {
+            let what = format!("a chunk of {chunk_length} bytes reaches past the end of the GLB at byte {length}");
+            Error::invalid(path, format!("byte {at}"), what)
+        })?;
+        match kind {
+            0x4E4F_534A if json.is_none() => json = Some(chunk),
+            0x004E_4942 if bin.is_none() => bin = Some(chunk),
+            _ => {}
+        }
+        at = start + chunk_length;
+    }
+    let json = json.ok_or_else(|| Error::invalid(path, "byte 12", "the GLB has no JSON chunk"))?;
+    Ok((json, bin))
+}

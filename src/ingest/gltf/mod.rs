@@ -1,0 +1,165 @@
+//! glTF 2.0 (.glb and .gltf) to world-space triangles.
+//!
+//! The `gltf` crate gives the typed JSON. Its validation and its readers are not used: they reject or misread
+//! extensions that are read here, and trust what a hostile file says. What is read instead is checked index by index.
+
+mod accessor;
+mod container;
+mod geometry;
+mod image;
+mod material;
+mod nodes;
+mod pose;
+mod resource;
+
+use std::path::PathBuf;
+
+use glam::{DAffine3, DVec3};
+use gltf::json::{Index, Node};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::Result;
+use crate::job::MeshInput;
+use crate::scene::Meshes;
+use crate::scene::bounds::Bounds;
+
+use container::{Asset, place};
+use geometry::Geometry;
+use material::Materials;
+use nodes::Hierarchy;
+
+/// What was read from a glTF file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct MeshReport {
+    /// The file.
+    pub path: PathBuf,
+    /// Name of the scene that was read, when it has one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scene: Option<String>,
+    /// Nodes of that scene.
+    pub nodes: usize,
+    /// Triangles that can be seen, instances counted.
+    pub triangles: usize,
+    /// Triangles that cannot.
+    pub dropped_triangles: DroppedTriangles,
+    /// Primitives of points or lines: they have no surface and were skipped.
+    pub skipped_primitives: usize,
+    /// Materials in use.
+    pub materials: usize,
+    /// Textures in use, by image and sampler.
+    pub textures: usize,
+    /// Extensions that the file says it uses.
+    pub extensions_used: Vec<String>,
+    /// Those of them that were passed over.
+    pub extensions_ignored: Vec<String>,
+    /// Box around the triangles, in metres in the world; absent without triangles.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bounds: Option<Bounds>,
+}
+
+/// Triangles that were left out, by reason.
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct DroppedTriangles {
+    /// All corners on one line.
+    pub zero_area: usize,
+    /// A corner that is not a number, or too far away for f32.
+    pub non_finite: usize,
+}
+
+/// Appends the triangles of a scene of `input`, with their materials and textures, to `meshes`.
+///
+/// Transforms are composed in f64; positions are stored relative to `origin` (world, metres). Skins and morph targets
+/// are read in their rest pose. On an error `meshes` may hold a part of the file.
+pub fn load(input: &MeshInput, origin: DVec3, meshes: &mut Meshes) -> Result<MeshReport> {
+    let asset = Asset::read(&input.path)?;
+    let hierarchy = Hierarchy::of_scene(&asset, input.scene.as_deref())?;
+    let stored_from_file = DAffine3::from_translation(-origin) * input.transform.world_from_file();
+    let (first_vertex, first_triangle) = (meshes.positions.len(), meshes.triangles.len());
+    let mut loader = Loader {
+        asset: &asset,
+        hierarchy: &hierarchy,
+        stored_from_file,
+        materials: Materials::default(),
+        dropped: DroppedTriangles::default(),
+        skipped_primitives: 0,
+        meshes,
+    };
+    for &node in &hierarchy.order {
+        loader.append_node(node)?;
+    }
+    let Loader { materials, dropped, skipped_primitives, .. } = loader;
+    Ok(MeshReport {
+        path: input.path.clone(),
+        nodes: hierarchy.order.len(),
+        triangles: meshes.triangles.len() - first_triangle,
+        dropped_triangles: dropped,
+        skipped_primitives,
+        materials: materials.materials_in_use(),
+        textures: materials.textures_in_use(),
+        extensions_ignored: asset.ignored_extensions(),
+        bounds: bounds(meshes, first_vertex, origin),
+        scene: hierarchy.scene,
+        extensions_used: asset.root.extensions_used,
+    })
+}
+
+/// One pass over the nodes of a scene.
+struct Loader<'a> {
+    asset: &'a Asset,
+    hierarchy: &'a Hierarchy,
+    stored_from_file: DAffine3,
+    materials: Materials,
+    dropped: DroppedTriangles,
+    skipped_primitives: usize,
+    meshes: &'a mut Meshes,
+}
+
+impl Loader<'_> {
+    fn append_node(&mut self, index: Index<Node>) -> Result<()> {
+        let node = self.asset.get(index, "/nodes")?;
+        let Some(mesh) = node.mesh else { return Ok(()) };
+        let here = place("nodes", index.value(), node.name.as_deref());
+        let stored_from_instances = self.stored_from_instances(node, index, &here)?;
+        let mesh_index = mesh.value();
+        let mesh = self.asset.get(mesh, &here)?;
+        let mesh_place = place("meshes", mesh_index, mesh.name.as_deref());
+        let skin = node.skin.map(|skin| pose::joint_transforms(self.asset, self.hierarchy, skin, &here));
+        let file_from_joints = skin.transpose()?;
+        for (i, primitive) in mesh.primitives.iter().enumerate() {
+            let here = format!("{mesh_place}/primitives/{i}");
+            let Some(mut geometry) = Geometry::read(self.asset, primitive, &here)? else {
+                self.skipped_primitives += 1;
+                continue;
+            };
+            pose::morph(self.asset, &mut geometry, node, mesh, primitive, &here)?;
+            if let Some(file_from_joints) = &file_from_joints {
+                pose::skin(self.asset, &mut geometry, primitive, file_from_joints, &here)?;
+            }
+            let material = self.materials.get(self.asset, primitive.material, &here, self.meshes)?;
+            geometry.append(self.asset, &stored_from_instances, material, self.meshes, &mut self.dropped)?;
+        }
+        Ok(())
+    }
+
+    /// Where the geometry of a node goes. Skinned geometry is posed in file coordinates: glTF ignores its node's own
+    /// transform.
+    fn stored_from_instances(&self, node: &Node, index: Index<Node>, here: &str) -> Result<Vec<DAffine3>> {
+        if node.skin.is_some() {
+            return Ok(vec![self.stored_from_file]);
+        }
+        let file_from_node = self.hierarchy.file_from_node[index.value()].unwrap_or(DAffine3::IDENTITY);
+        let stored_from_node = self.stored_from_file * file_from_node;
+        let instances = nodes::node_from_instances(self.asset, node, here)?;
+        Ok(instances.into_iter().map(|node_from_instance| stored_from_node * node_from_instance).collect())
+    }
+}
+
+fn bounds(meshes: &Meshes, first_vertex: usize, origin: DVec3) -> Option<Bounds> {
+    let positions = &meshes.positions[first_vertex..];
+    let first = positions.first()?;
+    let (min, max) = positions.iter().fold((*first, *first), |(min, max), &p| (min.min(p), max.max(p)));
+    Some(Bounds { min: origin + min.as_dvec3(), max: origin + max.as_dvec3() })
+}
