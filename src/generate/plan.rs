@@ -234,14 +234,9 @@ impl Building {
         let low = corners[0].min(corners[1]);
         let size = corners[0].max(corners[1]) - low;
         let [x, y, z] = [DVec3::X * size.x, DVec3::Y * size.y, DVec3::Z * size.z];
-        for (foot, edges) in [
-            (low, [y, x]),
-            (low + z, [x, y]),
-            (low, [z, y]),
-            (low + x, [y, z]),
-            (low, [x, z]),
-            (low + y, [z, x]),
-        ] {
+        for (foot, edges) in
+            [(low, [y, x]), (low + z, [x, y]), (low, [z, y]), (low + x, [y, z]), (low, [x, z]), (low + y, [z, x])]
+        {
             self.rectangle(foot, edges, paint, room, grain);
         }
     }

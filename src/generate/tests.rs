@@ -118,7 +118,9 @@ fn opacities_and_sizes_have_a_captures_quantiles() {
     let [s1, s50, s99, outlier] = quantiles(largest, [0.01, 0.5, 0.99, 1.0]);
     let smallest = (0..splats.len()).map(|i| splats.standard_deviations(i).min_element()).collect();
     let [thinnest] = quantiles(smallest, [0.0]);
-    println!("opacities {o1:.3} {o10:.3} {o50:.3} {o90:.4}; sizes {s1:.4} {s50:.4} {s99:.4} {outlier:.1}; {thinnest:.2e}");
+    println!(
+        "opacities {o1:.3} {o10:.3} {o50:.3} {o90:.4}; sizes {s1:.4} {s50:.4} {s99:.4} {outlier:.1}; {thinnest:.2e}"
+    );
     assert!((o1 - 0.04).abs() < 0.01 && (o10 - 0.12).abs() < 0.02);
     assert!((o50 - 0.69).abs() < 0.03 && (o90 - 0.996).abs() < 0.001);
     let near = |value: f64, target: f64| (value / target).ln().abs() < 0.2;
