@@ -34,6 +34,18 @@ pub enum ShDirection {
     Ray,
 }
 
+/// How a radiance channel is stored.
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
+pub enum Pixel {
+    /// 16-bit floating point: 11 significant bits, up to 65504. The default.
+    #[default]
+    Half,
+    /// 32-bit floating point.
+    Float,
+}
+
 /// A splat file and how it stands in the world.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, rename_all = "camelCase")]

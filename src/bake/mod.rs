@@ -1,1 +1,123 @@
-//! bake
+//! Probes to cubemaps, on all cores.
+
+mod schedule;
+
+use crate::error::{Error, Result};
+use crate::trace::{Face, Tile};
+
+pub use schedule::bake_probes;
+
+/// Largest edge of a face, in texels: a cubemap of that size takes 6 GiB.
+pub const MAX_FACE_SIZE: u32 = 8192;
+
+/// What a baked cubemap looks like.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct BakeSettings {
+    /// Texels along an edge of a face, 1 to [`MAX_FACE_SIZE`].
+    pub face_size: u32,
+    /// Rays along an edge of a texel, 1 to [`Tile::EDGE`]; a texel is the mean of its `samples * samples` rays.
+    pub samples: u32,
+    /// Whether the distance layer is kept.
+    pub distance: bool,
+}
+
+impl BakeSettings {
+    /// Rays that a probe takes.
+    pub fn rays_per_probe(&self) -> u64 {
+        let edge = u64::from(self.face_size) * u64::from(self.samples);
+        6 * edge * edge
+    }
+
+    fn check(&self) -> Result<()> {
+        if !(1..=MAX_FACE_SIZE).contains(&self.face_size) {
+            return Err(Error::request("face-size", format!("{} is not 1 to {MAX_FACE_SIZE} texels", self.face_size)));
+        }
+        if !(1..=Tile::EDGE).contains(&self.samples) {
+            let why = format!("{} is not 1 to {} rays along a texel's edge", self.samples, Tile::EDGE);
+            return Err(Error::request("samples", why));
+        }
+        Ok(())
+    }
+}
+
+/// Linear radiance around a point.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Cubemap {
+    /// Texels along an edge of a face.
+    pub face_size: u32,
+    /// Linear RGB (Rec.709, what is seen plus the background behind it) and coverage A = 1 - T; RGB of the scene is
+    /// premultiplied by coverage. Six faces in file order (+X -X +Y -Y +Z -Z), each row by row from its top left.
+    pub texels: Vec<[f32; 4]>,
+    /// Mean distance along each texel's rays, in metres, weighted by coverage; 0 where coverage is 0. Same order.
+    pub distance: Option<Vec<f32>>,
+}
+
+impl Cubemap {
+    /// A cubemap that nothing has been traced into.
+    fn empty(settings: &BakeSettings) -> Self {
+        let len = 6 * (settings.face_size as usize).pow(2);
+        Self {
+            face_size: settings.face_size,
+            texels: vec![[0.0; 4]; len],
+            distance: settings.distance.then(|| vec![0.0; len]),
+        }
+    }
+
+    /// The texels of one face, row by row.
+    pub fn face(&self, face: Face) -> &[[f32; 4]] {
+        let len = (self.face_size as usize).pow(2);
+        let start = face as usize * len;
+        &self.texels[start..start + len]
+    }
+}
+
+/// What a probe sees, in numbers.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ProbeStatistics {
+    /// Rays traced.
+    pub rays: u64,
+    /// Mean coverage of all texels (not weighted by solid angle).
+    pub mean_coverage: f64,
+    /// Distances of what was seen, in metres; `None` where nothing was.
+    pub distance: Option<DistanceStatistics>,
+}
+
+/// Distances around a probe, in metres.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DistanceStatistics {
+    /// Distance of the nearest texel that has any coverage.
+    pub min: f64,
+    /// Mean over all texels, weighted by coverage.
+    pub mean: f64,
+    /// Distance of the farthest texel that has any coverage.
+    pub max: f64,
+}
+
+/// Hears how a bake goes. Called from any thread, in any order between `begin` and `finish`.
+pub trait Progress: Sync {
+    /// A bake of `probes` probes and `rays` rays in all begins.
+    fn begin(&self, probes: usize, rays: u64);
+
+    /// `rays` more rays have been traced.
+    fn advance(&self, rays: u64);
+
+    /// The probe with this index in the list of probes has been traced and delivered.
+    fn probe_done(&self, index: usize);
+
+    /// The bake has ended, whether it succeeded or not.
+    fn finish(&self);
+}
+
+/// Reports nothing.
+#[derive(Debug, Clone, Copy)]
+pub struct Silent;
+
+impl Progress for Silent {
+    fn begin(&self, _probes: usize, _rays: u64) {}
+
+    fn advance(&self, _rays: u64) {}
+
+    fn probe_done(&self, _index: usize) {}
+
+    fn finish(&self) {}
+}

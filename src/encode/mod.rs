@@ -1,1 +1,5 @@
-//! encode
+//! Cubemaps to bytes.
+
+pub mod exr;
+pub mod file;
+pub mod preview;

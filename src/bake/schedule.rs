@@ -1,0 +1,450 @@
+//! Which core traces what, and when.
+//!
+//! The unit of work is a tile of at most [`Tile::EDGE`] rays squared. All tiles of a batch of probes are one parallel
+//! iteration, so that one probe with large faces and a thousand with small ones both keep every core busy. A batch is
+//! bounded in memory, and while it is traced the batch before it is delivered. Every texel belongs to one tile and
+//! sums are formed in tile order, so nothing depends on the number of threads.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+use super::{BakeSettings, Cubemap, DistanceStatistics, ProbeStatistics, Progress};
+use crate::error::{Error, Result};
+use crate::place::Probe;
+use crate::scene::Scene;
+use crate::trace::{Face, Radiance, Tile, TileTracer};
+
+/// Most bytes of cubemaps in a batch; two batches are held at a time. A probe that alone is larger is its own batch.
+const BATCH_BYTES: usize = 256 << 20;
+
+/// Bakes the cubemaps of all probes and hands each to `sink`, with the probe's index in `probes`.
+///
+/// Cubemaps reach `sink` on several threads at once and in no certain order; their content depends on neither. Setting
+/// `cancel` ends the bake within about a tile's time.
+///
+/// Fails with [`Error::Request`] when a setting is out of range, [`Error::Cancelled`] when `cancel` is set, or the first
+/// error of `sink`; no further probes are delivered then, except those already under way.
+pub fn bake_probes(
+    tracer: &dyn TileTracer,
+    scene: &Scene,
+    probes: &[Probe],
+    settings: &BakeSettings,
+    progress: &dyn Progress,
+    cancel: &AtomicBool,
+    sink: impl Fn(usize, Cubemap, ProbeStatistics) -> Result<()> + Sync,
+) -> Result<()> {
+    settings.check()?;
+    let failed = AtomicBool::new(false);
+    let bake = Bake { tracer, scene, settings, progress, cancel, failed: &failed, sink: &sink };
+    progress.begin(probes.len(), probes.len() as u64 * settings.rays_per_probe());
+    let result = bake.run(probes, BATCH_BYTES);
+    progress.finish();
+    result
+}
+
+/// A cubemap on its way to the sink.
+type Traced = (usize, Cubemap, ProbeStatistics);
+
+/// What stays the same throughout a bake.
+struct Bake<'a, Sink> {
+    tracer: &'a dyn TileTracer,
+    scene: &'a Scene,
+    settings: &'a BakeSettings,
+    progress: &'a dyn Progress,
+    cancel: &'a AtomicBool,
+    failed: &'a AtomicBool,
+    sink: &'a Sink,
+}
+
+impl<Sink: Fn(usize, Cubemap, ProbeStatistics) -> Result<()> + Sync> Bake<'_, Sink> {
+    fn run(&self, probes: &[Probe], batch_bytes: usize) -> Result<()> {
+        let texel_bytes = if self.settings.distance { 20 } else { 16 };
+        let probe_bytes = 6 * (self.settings.face_size as usize).pow(2) * texel_bytes;
+        let batch_len = (batch_bytes / probe_bytes).max(1);
+        let mut before = Vec::new();
+        for (number, batch) in probes.chunks(batch_len).enumerate() {
+            let (delivered, traced) =
+                rayon::join(|| self.deliver(before), || self.trace_batch(number * batch_len, batch));
+            // In this order: a failed delivery is why tracing stopped.
+            delivered?;
+            before = traced?;
+        }
+        self.deliver(before)
+    }
+
+    fn deliver(&self, batch: Vec<Traced>) -> Result<()> {
+        batch.into_par_iter().with_max_len(1).try_for_each(|(index, cubemap, statistics)| {
+            if self.failed.load(Ordering::Relaxed) {
+                // Another delivery's error is on its way to the caller; a second one must not overtake it.
+                return Ok(());
+            }
+            self.check_stopped()?;
+            (self.sink)(index, cubemap, statistics).inspect_err(|_| self.failed.store(true, Ordering::Relaxed))?;
+            self.progress.probe_done(index);
+            Ok(())
+        })
+    }
+
+    fn trace_batch(&self, first: usize, probes: &[Probe]) -> Result<Vec<Traced>> {
+        let mut cubemaps: Vec<Cubemap> = probes.iter().map(|_| Cubemap::empty(self.settings)).collect();
+        let origins = probes.iter().map(|probe| probe.position - self.scene.origin);
+        let tasks: Vec<Task> = cubemaps
+            .iter_mut()
+            .zip(origins)
+            .flat_map(|(cubemap, origin)| tasks(cubemap, origin, self.settings))
+            .collect();
+        let tasks_per_probe = tasks.len() / probes.len();
+        let sums: Vec<Sums> =
+            tasks.into_par_iter().with_max_len(1).map(|task| self.trace(task)).collect::<Result<_>>()?;
+        let statistics = sums.chunks(tasks_per_probe).map(|sums| self.statistics(sums));
+        Ok((first..).zip(cubemaps).zip(statistics).map(|((i, cubemap), statistics)| (i, cubemap, statistics)).collect())
+    }
+
+    /// Traces a tile and writes the means of its rays to its texels.
+    fn trace(&self, mut task: Task) -> Result<Sums> {
+        self.check_stopped()?;
+        let mut rays = vec![Radiance::default(); task.tile.len()];
+        self.tracer.trace_tile(task.origin, &task.tile, &mut rays);
+        let samples = self.settings.samples as usize;
+        let ray_columns = task.tile.width as usize;
+        let mut sums = Sums::default();
+        for (y, row) in task.rows.iter_mut().enumerate() {
+            for (x, texel) in row.iter_mut().enumerate() {
+                let first_ray = y * samples * ray_columns + x * samples;
+                let block = (0..samples).flat_map(|row| &rays[first_ray + row * ray_columns..][..samples]);
+                let (rgba, distance) = self.mean(block);
+                *texel = rgba;
+                sums.add(rgba[3], distance);
+                if let Some(row) = task.distance_rows.get_mut(y) {
+                    row[x] = distance;
+                }
+            }
+        }
+        self.progress.advance(task.tile.len() as u64);
+        Ok(sums)
+    }
+
+    /// Mean linear RGB and coverage of a texel's rays, and their mean distance weighted by coverage.
+    fn mean<'r>(&self, rays: impl Iterator<Item = &'r Radiance>) -> ([f32; 4], f32) {
+        let (mut rgb, mut coverage, mut distance_sum) = (Vec3::ZERO, 0.0, 0.0);
+        for ray in rays {
+            rgb += ray.to_linear(self.scene.encoding, self.scene.background).0;
+            coverage += ray.coverage();
+            distance_sum += ray.distance_sum;
+        }
+        let count = self.settings.samples.pow(2) as f32;
+        let distance = if coverage > 0.0 { distance_sum / coverage } else { 0.0 };
+        ((rgb / count).extend(coverage / count).to_array(), distance)
+    }
+
+    fn statistics(&self, tiles: &[Sums]) -> ProbeStatistics {
+        let sums = tiles.iter().fold(Sums::default(), |sums, tile| sums.merged(tile));
+        let texels = 6.0 * f64::from(self.settings.face_size).powi(2);
+        ProbeStatistics {
+            rays: self.settings.rays_per_probe(),
+            mean_coverage: sums.coverage / texels,
+            distance: (sums.coverage > 0.0).then(|| DistanceStatistics {
+                min: f64::from(sums.min_distance),
+                mean: sums.distance / sums.coverage,
+                max: f64::from(sums.max_distance),
+            }),
+        }
+    }
+
+    fn check_stopped(&self) -> Result<()> {
+        let stopped = self.cancel.load(Ordering::Relaxed) || self.failed.load(Ordering::Relaxed);
+        if stopped { Err(Error::Cancelled) } else { Ok(()) }
+    }
+}
+
+/// A tile of rays and the texels that they become.
+struct Task<'a> {
+    origin: DVec3,
+    tile: Tile,
+    rows: Vec<&'a mut [[f32; 4]]>,
+    /// Empty when distances are not kept.
+    distance_rows: Vec<&'a mut [f32]>,
+}
+
+/// Cuts a cubemap into tiles that can be written independently. `origin` is the probe's, relative to the scene's.
+fn tasks<'a>(cubemap: &'a mut Cubemap, origin: DVec3, settings: &BakeSettings) -> Vec<Task<'a>> {
+    let (face_size, samples) = (settings.face_size, settings.samples);
+    let tile_texels = Tile::EDGE / samples;
+    let starts = || (0..face_size).step_by(tile_texels as usize);
+    let rays = |start: u32| tile_texels.min(face_size - start) * samples;
+    let mut tasks: Vec<Task> = Face::ALL
+        .into_iter()
+        .flat_map(|face| starts().flat_map(move |y| starts().map(move |x| (face, x, y))))
+        .map(|(face, x, y)| Task {
+            origin,
+            tile: Tile {
+                face,
+                face_size: face_size * samples,
+                x: x * samples,
+                y: y * samples,
+                width: rays(x),
+                height: rays(y),
+            },
+            rows: Vec::new(),
+            distance_rows: Vec::new(),
+        })
+        .collect();
+    let tiles_per_row = starts().count();
+    let (face_size, tile_texels) = (face_size as usize, tile_texels as usize);
+    // The first of the tiles that a row of the whole cubemap passes through.
+    let first_tile = |row: usize| (row / face_size * tiles_per_row + row % face_size / tile_texels) * tiles_per_row;
+    for (y, row) in cubemap.texels.chunks_exact_mut(face_size).enumerate() {
+        for (task, piece) in tasks[first_tile(y)..].iter_mut().zip(row.chunks_mut(tile_texels)) {
+            task.rows.push(piece);
+        }
+    }
+    for (y, row) in cubemap.distance.iter_mut().flat_map(|distance| distance.chunks_exact_mut(face_size)).enumerate() {
+        for (task, piece) in tasks[first_tile(y)..].iter_mut().zip(row.chunks_mut(tile_texels)) {
+            task.distance_rows.push(piece);
+        }
+    }
+    tasks
+}
+
+/// Sums over texels, for statistics.
+struct Sums {
+    coverage: f64,
+    /// Coverage times distance.
+    distance: f64,
+    min_distance: f32,
+    max_distance: f32,
+}
+
+impl Default for Sums {
+    fn default() -> Self {
+        Self { coverage: 0.0, distance: 0.0, min_distance: f32::INFINITY, max_distance: 0.0 }
+    }
+}
+
+impl Sums {
+    fn add(&mut self, coverage: f32, distance: f32) {
+        if coverage > 0.0 {
+            self.coverage += f64::from(coverage);
+            self.distance += f64::from(coverage) * f64::from(distance);
+            self.min_distance = self.min_distance.min(distance);
+            self.max_distance = self.max_distance.max(distance);
+        }
+    }
+
+    fn merged(self, other: &Self) -> Self {
+        Self {
+            coverage: self.coverage + other.coverage,
+            distance: self.distance + other.distance,
+            min_distance: self.min_distance.min(other.min_distance),
+            max_distance: self.max_distance.max(other.max_distance),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Mutex;
+    use std::sync::atomic::{AtomicU64, AtomicUsize};
+
+    use super::*;
+    use crate::bake::Silent;
+    use crate::place::Bounds;
+    use crate::scene::LinearRgb;
+
+    /// Half-covered everywhere; colour is the probe's position plus the (not normalised) direction, which is linear
+    /// over a face, so that any mean over a texel is its centre's value. Distance is 2 on +X and 6 elsewhere.
+    struct DirectionColours;
+
+    impl TileTracer for DirectionColours {
+        fn trace_tile(&self, origin: DVec3, tile: &Tile, texels: &mut [Radiance]) {
+            assert!(tile.width <= Tile::EDGE && tile.height <= Tile::EDGE);
+            for (i, texel) in texels.iter_mut().enumerate() {
+                let (x, y) = (tile.x + i as u32 % tile.width, tile.y + i as u32 / tile.width);
+                let direction = tile.face.direction(tile.face_size, f64::from(x) + 0.5, f64::from(y) + 0.5);
+                let distance = if tile.face == Face::PosX { 2.0 } else { 6.0 };
+                *texel = Radiance {
+                    surface_sum: (origin + direction).as_vec3(),
+                    distance_sum: 0.5 * distance,
+                    transmittance: 0.5,
+                    ..Radiance::default()
+                };
+            }
+        }
+    }
+
+    fn probes(count: usize) -> Vec<Probe> {
+        let probe = |i: usize| Probe {
+            id: format!("probe_{i:03}"),
+            position: DVec3::new(100.0 + i as f64, 0.0, 0.0),
+            influence: Bounds { min: DVec3::ZERO, max: DVec3::ONE },
+            blend: [0.0; 6],
+        };
+        (0..count).map(probe).collect()
+    }
+
+    /// A scene with an origin of (100, 0, 0) and a background of `background` in all channels.
+    fn scene(background: f32) -> Scene {
+        Scene { origin: DVec3::X * 100.0, background: LinearRgb(Vec3::splat(background)), ..Scene::default() }
+    }
+
+    fn bake(count: usize, settings: BakeSettings, threads: usize, batch_bytes: usize) -> Vec<Traced> {
+        let delivered = Mutex::new(Vec::new());
+        let sink = |index, cubemap, statistics| {
+            delivered.lock().unwrap().push((index, cubemap, statistics));
+            Ok(())
+        };
+        let (cancel, failed) = (AtomicBool::new(false), AtomicBool::new(false));
+        let bake = Bake {
+            tracer: &DirectionColours,
+            scene: &scene(0.0),
+            settings: &settings,
+            progress: &Silent,
+            cancel: &cancel,
+            failed: &failed,
+            sink: &sink,
+        };
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| bake.run(&probes(count), batch_bytes)).unwrap();
+        let mut delivered = delivered.into_inner().unwrap();
+        delivered.sort_by_key(|(index, ..)| *index);
+        delivered
+    }
+
+    #[test]
+    fn every_texel_is_the_ray_through_its_centre_whatever_the_samples() {
+        for (face_size, samples) in [(1, 1), (70, 1), (128, 1), (33, 2), (20, 4), (3, 64)] {
+            let settings = BakeSettings { face_size, samples, distance: true };
+            for (index, cubemap, statistics) in bake(2, settings, 2, BATCH_BYTES) {
+                assert_eq!(statistics.rays, 6 * u64::from(face_size * samples).pow(2));
+                for face in Face::ALL {
+                    for (i, texel) in cubemap.face(face).iter().enumerate() {
+                        let (x, y) = (i as u32 % face_size, i as u32 / face_size);
+                        let centre = face.direction(face_size, f64::from(x) + 0.5, f64::from(y) + 0.5);
+                        let expected = (centre + DVec3::X * index as f64).as_vec3();
+                        let difference = (Vec3::from_slice(&texel[..3]) - expected).abs().max_element();
+                        let tolerance = if samples == 1 { 0.0 } else { 1e-5 };
+                        assert!(difference <= tolerance, "{face_size}x{samples} {face:?} {x},{y}: {texel:?}");
+                        assert_eq!(texel[3], 0.5);
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn neither_threads_nor_batches_change_a_byte() {
+        let settings = BakeSettings { face_size: 70, samples: 2, distance: true };
+        let one = bake(5, settings, 1, BATCH_BYTES);
+        assert_eq!(one.len(), 5);
+        assert!(one == bake(5, settings, 2, BATCH_BYTES));
+        assert!(one == bake(5, settings, 4, 2 * 6 * 70 * 70 * 20));
+        assert!(one == bake(5, settings, 2, 1));
+    }
+
+    #[test]
+    fn statistics_weigh_distances_by_coverage() {
+        let settings = BakeSettings { face_size: 65, samples: 1, distance: false };
+        let (_, cubemap, statistics) = bake(1, settings, 2, BATCH_BYTES).remove(0);
+        assert_eq!(cubemap.distance, None);
+        assert_eq!(statistics.mean_coverage, 0.5);
+        let distance = statistics.distance.unwrap();
+        assert_eq!((distance.min, distance.max), (2.0, 6.0));
+        assert!((distance.mean - (2.0 + 5.0 * 6.0) / 6.0).abs() < 1e-9);
+    }
+
+    /// Sees nothing through odd ray columns, and a wall at 3 m through even ones.
+    struct Fence;
+
+    impl TileTracer for Fence {
+        fn trace_tile(&self, _origin: DVec3, tile: &Tile, texels: &mut [Radiance]) {
+            for (i, texel) in texels.iter_mut().enumerate() {
+                let x = tile.x + i as u32 % tile.width;
+                let wall = Radiance { distance_sum: 3.0, transmittance: 0.0, ..Radiance::default() };
+                *texel = if x.is_multiple_of(2) { wall } else { Radiance::default() };
+            }
+        }
+    }
+
+    #[test]
+    fn rays_that_escape_bring_the_background_and_do_not_change_the_distance() {
+        let settings = BakeSettings { face_size: 3, samples: 2, distance: true };
+        let sink = |_, cubemap: Cubemap, statistics: ProbeStatistics| {
+            assert!(cubemap.texels.iter().all(|texel| *texel == [0.25, 0.25, 0.25, 0.5]), "{:?}", cubemap.texels);
+            assert!(cubemap.distance.unwrap().iter().all(|distance| *distance == 3.0));
+            assert_eq!(statistics.mean_coverage, 0.5);
+            Ok(())
+        };
+        let cancel = AtomicBool::new(false);
+        bake_probes(&Fence, &scene(0.5), &probes(1), &settings, &Silent, &cancel, sink).unwrap();
+    }
+
+    #[derive(Default)]
+    struct Count {
+        rays: AtomicU64,
+        probes: AtomicUsize,
+        finished: AtomicUsize,
+    }
+
+    impl Progress for Count {
+        fn begin(&self, probes: usize, rays: u64) {
+            assert_eq!((probes, rays), (3, 3 * 6 * 64));
+        }
+
+        fn advance(&self, rays: u64) {
+            self.rays.fetch_add(rays, Ordering::Relaxed);
+        }
+
+        fn probe_done(&self, _index: usize) {
+            self.probes.fetch_add(1, Ordering::Relaxed);
+        }
+
+        fn finish(&self) {
+            self.finished.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    #[test]
+    fn progress_hears_of_every_ray_and_every_probe() {
+        let settings = BakeSettings { face_size: 8, samples: 1, distance: false };
+        let (progress, cancel) = (Count::default(), AtomicBool::new(false));
+        let sink = |_, _, _| Ok(());
+        bake_probes(&DirectionColours, &scene(0.0), &probes(3), &settings, &progress, &cancel, sink).unwrap();
+        assert_eq!(progress.rays.into_inner(), 3 * 6 * 64);
+        assert_eq!(progress.probes.into_inner(), 3);
+        assert_eq!(progress.finished.into_inner(), 1);
+    }
+
+    #[test]
+    fn a_cancelled_bake_delivers_nothing_and_says_so() {
+        let settings = BakeSettings { face_size: 8, samples: 1, distance: false };
+        let (progress, cancel) = (Count::default(), AtomicBool::new(true));
+        let sink = |_, _, _| panic!("delivered a probe");
+        let result = bake_probes(&DirectionColours, &scene(0.0), &probes(3), &settings, &progress, &cancel, sink);
+        assert!(matches!(result, Err(Error::Cancelled)), "{result:?}");
+        assert_eq!(progress.finished.into_inner(), 1);
+    }
+
+    #[test]
+    fn the_error_of_the_sink_is_the_error_of_the_bake() {
+        let settings = BakeSettings { face_size: 8, samples: 1, distance: false };
+        let sink = |_, _, _| Err(Error::write("full/disk", std::io::ErrorKind::StorageFull.into()));
+        let cancel = AtomicBool::new(false);
+        let result = bake_probes(&DirectionColours, &scene(0.0), &probes(3), &settings, &Silent, &cancel, sink);
+        assert!(matches!(result, Err(Error::Write { .. })), "{result:?}");
+    }
+
+    #[test]
+    fn settings_out_of_range_name_the_setting() {
+        let cancel = AtomicBool::new(false);
+        for (face_size, samples, wrong) in
+            [(0, 1, "face-size"), (8193, 1, "face-size"), (8, 0, "samples"), (8, 65, "samples")]
+        {
+            let settings = BakeSettings { face_size, samples, distance: false };
+            let sink = |_, _, _| Ok(());
+            let result = bake_probes(&DirectionColours, &scene(0.0), &probes(3), &settings, &Silent, &cancel, sink);
+            assert!(matches!(result, Err(Error::Request { field, .. }) if field == wrong));
+        }
+    }
+}
