@@ -91,7 +91,7 @@ fn materials_keep_factors_emission_strength_alpha_and_sides() {
     let mut file = File::square();
     file.push(
         "materials",
-        json!({"name": "lamp", "doubleSided": true, "alphaMode": "MASK", "alphaCutoff": 0.25,
+        json!({"name": "lamp", "extras": {"any": [1, {"thing": null}]}, "doubleSided": true, "alphaMode": "MASK", "alphaCutoff": 0.25,
             "emissiveFactor": [1.0, 0.5, 0.0], "pbrMetallicRoughness": {"baseColorFactor": [0.1, 0.2, 0.3, 0.4]},
             "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 8.0}, "KHR_materials_unlit": {}}}),
     );

@@ -362,7 +362,7 @@ mod tests {
             for (i, texel) in texels.iter_mut().enumerate() {
                 let x = tile.x + i as u32 % tile.width;
                 let wall = Radiance { distance_sum: 3.0, transmittance: 0.0, ..Radiance::default() };
-                *texel = if x % 2 == 0 { wall } else { Radiance::default() };
+                *texel = if x.is_multiple_of(2) { wall } else { Radiance::default() };
             }
         }
     }

@@ -218,11 +218,11 @@ mod tests {
         let path = folder.path().join("broken.exr");
         write_cubemap(&path, &numbered(4, true), Pixel::Half).unwrap();
         let whole = std::fs::read(&path).unwrap();
-        for end in 0..whole.len() {
+        for end in (0..whole.len()).step_by(3) {
             std::fs::write(&path, &whole[..end]).unwrap();
             assert!(matches!(read_exr(&path), Err(Error::Invalid { .. })), "cut at {end}");
         }
-        for (i, flip) in (0..whole.len()).flat_map(|i| [(i, 0xff), (i, 0x80), (i, 0x01)]) {
+        for (i, flip) in (0..whole.len()).zip([0xff, 0x80, 0x01].into_iter().cycle()).step_by(2) {
             let mut bytes = whole.clone();
             bytes[i] ^= flip;
             std::fs::write(&path, &bytes).unwrap();
@@ -269,7 +269,7 @@ mod tests {
                 let colour = ["R", "G", "B"].map(|name| f64::from(image.channels[name][pixel]));
                 let direction = (glam::DVec3::from(colour) * 2.0 - 1.0).normalize();
                 let angle = direction.angle_between(expected).to_degrees();
-                assert!(angle < 0.5, "{face:?} {x},{y}: {direction} instead of {expected}");
+                assert!(angle < 0.1, "{face:?} {x},{y}: {direction} instead of {expected}");
             }
         }
     }

@@ -202,7 +202,7 @@ mod tests {
     fn large_faces_are_averaged_in_linear_light() {
         let face_size = PREVIEW_FACE_SIZE * 2;
         // A checkerboard of black and white texels is mid grey in linear light: sRGB 188.
-        let texel = |i: u32| if (i % face_size + i / face_size) % 2 == 0 { [1.0; 4] } else { [0.0; 4] };
+        let texel = |i: u32| if (i % face_size + i / face_size).is_multiple_of(2) { [1.0; 4] } else { [0.0; 4] };
         let texels = (0..6 * face_size.pow(2)).map(texel).collect();
         let image = cross(&Cubemap { face_size, texels, distance: None });
         assert_eq!(image.dimensions(), (4 * PREVIEW_FACE_SIZE, 3 * PREVIEW_FACE_SIZE));

@@ -24,7 +24,7 @@ pub use plan::ROOM;
 pub struct InteriorSettings {
     /// How many Gaussians. More of them make the same building denser.
     pub gaussians: usize,
-    /// How many rooms along x and z, each [`ROOM`] metres large.
+    /// How many rooms along x and z, at least 1, each [`ROOM`] metres large.
     pub rooms: [usize; 2],
     /// Spherical harmonics degree, 0 to [`sh::MAX_DEGREE`]. It changes no Gaussian's shape and no lower band.
     pub sh_degree: u8,
@@ -61,6 +61,7 @@ const LARGEST_SD: f64 = 10.0;
 /// Surfaces are several layers of flat Gaussians, sized and as opaque as in a captured interior; at the default
 /// settings a ray blends about 40 of them until its transmittance is below 0.001. Colours are display-encoded.
 pub fn interior(settings: &InteriorSettings) -> Splats {
+    assert!(!settings.rooms.contains(&0), "a building has at least one room");
     let building = Building::new(settings.rooms, settings.seed);
     let total: f64 = building.parts.iter().map(|part| part.weight).sum();
     let ends: Vec<usize> = building

@@ -91,7 +91,7 @@ impl Building {
         self.rectangle(low, [DVec3::Z * d, DVec3::X * w], floor, room, 1.0);
         self.rectangle(low + DVec3::Y * h, [DVec3::X * w, DVec3::Z * d], Paint::Plain(DVec3::splat(0.85)), room, 1.0);
 
-        let paint = if room % 2 == 0 { Paint::Plain(wall) } else { Paint::Stripes([wall, wall * 0.82], 0.25) };
+        let paint = if room.is_multiple_of(2) { Paint::Plain(wall) } else { Paint::Stripes([wall, wall * 0.82], 0.25) };
         // Each wall: its lower left corner seen from inside, its direction to the right, and the neighbour behind it.
         let walls = [
             (DVec3::new(low.x, 0.0, high.z), DVec3::NEG_Z, d, x > 0, [x, z, 0]),
@@ -103,7 +103,7 @@ impl Building {
             let positive = right.element_sum() > 0.0;
             if has_neighbour {
                 // Both rooms of a doorway see it at the same place; neighbouring doorways do not line up.
-                let offset = if (edge_x + edge_z + axis) % 2 == 0 { 0.55 } else { -0.55 };
+                let offset = if (edge_x + edge_z + axis).is_multiple_of(2) { 0.55 } else { -0.55 };
                 let left = length / 2.0 - DOOR.x / 2.0 + if positive { offset } else { -offset };
                 self.wall_with_door(origin, right, length, left, paint, room);
                 if !positive {

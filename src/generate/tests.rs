@@ -151,3 +151,18 @@ fn extremes_reach_anisotropies_of_ten_thousand() {
     let [p50, p99] = quantiles(ratios.collect(), [0.5, 0.99]);
     assert!(p50 > 100.0 && p99 > 1e4, "{p50} {p99}");
 }
+
+#[test]
+fn energy_falls_from_band_to_band_but_a_sign_slip_in_the_first_shows() {
+    let splats = interior(&InteriorSettings { sh_degree: 3, gaussians: 20_000, ..one_room() });
+    let mut energies = [0.0; 4];
+    for i in 0..splats.len() {
+        for (k, &c) in splats.sh_of(i)[..16].iter().enumerate() {
+            let band = k.isqrt();
+            energies[band] += f64::from(c).powi(2) / (2 * band + 1) as f64 / splats.len() as f64;
+        }
+    }
+    assert!(energies.is_sorted_by(|a, b| a > b), "{energies:?}");
+    // A coefficient of the wrong sign is off by twice its colour: more than 5 % of white here.
+    assert!(2.0 * LINEAR * energies[1].sqrt() > 0.05, "{energies:?}");
+}

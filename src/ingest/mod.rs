@@ -1,7 +1,8 @@
 //! Files -> scene, in physical units and the canonical frame. One file per format; the format is known by content.
 
-mod gather;
 pub mod gltf;
+
+mod gather;
 mod ply;
 mod report;
 mod sanitize;
@@ -36,8 +37,8 @@ pub fn load_scene(splats: &[SplatInput], meshes: &[MeshInput]) -> Result<(Scene,
     let loaded = load_splats(splats)?;
     let mut scene =
         Scene { origin: loaded.origin, splats: loaded.splats, encoding: loaded.encoding, ..Scene::default() };
-    let mesh_reports =
-        meshes.iter().map(|input| gltf::load(input, scene.origin, &mut scene.meshes)).collect::<Result<_>>()?;
+    let load_mesh = |input| gltf::load(input, loaded.origin, &mut scene.meshes);
+    let mesh_reports = meshes.iter().map(load_mesh).collect::<Result<_>>()?;
     Ok((scene, SceneReport { splats: loaded.reports, meshes: mesh_reports }))
 }
 

@@ -16,9 +16,9 @@ static LINEAR_OF_SRGB: LazyLock<[f32; 256]> =
 /// The texture is sampled as it is, without a footprint.
 pub fn sample(texture: &Texture, uv: Vec2) -> Vec4 {
     let (width, height) = (texture.width as i32, texture.height as i32);
-    // The bounds keep the arithmetic in i32; a NaN becomes the lower bound.
-    let x = (uv.x * width as f32).max(-1e9).min(1e9);
-    let y = (uv.y * height as f32).max(-1e9).min(1e9);
+    // Keeps the arithmetic in i32 for any number that a file's coordinates and transforms can make.
+    let bounded = |v: f32| if v.is_nan() { 0.0 } else { v.clamp(-1e9, 1e9) };
+    let (x, y) = (bounded(uv.x * width as f32), bounded(uv.y * height as f32));
     let texel = |x: i32, y: i32| {
         let x = wrap(texture.wrap[0], x, width);
         let y = wrap(texture.wrap[1], y, height);

@@ -33,11 +33,9 @@ pub fn load_file(path: impl Into<PathBuf>) -> Result<(Meshes, MeshReport)> {
     Ok((meshes, report))
 }
 
-/// Writes a GLB to a temporary file and loads it.
-pub fn load_glb(glb: &[u8]) -> Result<(Meshes, MeshReport)> {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let path = folder.path().join("test.glb");
-    std::fs::write(&path, glb).expect("a temporary file");
+/// Writes a GLB to a file and loads it.
+pub fn load_glb(path: &Path, glb: &[u8]) -> Result<(Meshes, MeshReport)> {
+    std::fs::write(path, glb).expect("a temporary file");
     load_file(path)
 }
 
@@ -124,7 +122,8 @@ impl File {
 
     /// Loads it as a GLB.
     pub fn load(&self) -> Result<(Meshes, MeshReport)> {
-        load_glb(&self.glb())
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        load_glb(&folder.path().join("test.glb"), &self.glb())
     }
 
     /// Loads it as a GLB and gives the error's message.

@@ -77,11 +77,12 @@ fn layout_of(asset: &Asset, accessor: &Accessor, there: &str) -> Result<(Layout,
     else {
         return Err(asset.invalid(there, "its componentType or type is none that glTF 2.0 knows"));
     };
-    let count =
-        usize::try_from(accessor.count.0).ok().filter(|&count| count <= asset.buffer_bytes()).ok_or_else(|| {
-            let what = format!("count {} exceeds the {} bytes of all buffers", accessor.count.0, asset.buffer_bytes());
-            asset.invalid(there, what)
-        })?;
+    // Elements in a buffer view are held to its bytes; without one they are zeros, and would cost the file nothing.
+    let most = if accessor.buffer_view.is_some() { usize::MAX } else { asset.largest_buffer_bytes() };
+    let count = usize::try_from(accessor.count.0).ok().filter(|&count| count <= most).ok_or_else(|| {
+        let what = format!("{} elements, but the largest buffer has only {most} bytes", accessor.count.0);
+        asset.invalid(there, what)
+    })?;
     Ok((Layout { count, component, components: kind.multiplicity(), normalized: accessor.normalized }, kind))
 }
 
@@ -296,7 +297,8 @@ mod tests {
             (json!({"count": 5}), none.clone(), "do not fit"),
             (json!({"byteOffset": 1}), none.clone(), "do not fit"),
             (json!({"byteOffset": huge}), none.clone(), "do not fit"),
-            (json!({"count": huge}), none.clone(), "exceeds the 64 bytes"),
+            (json!({"count": huge}), none.clone(), "do not fit"),
+            (json!({"bufferView": null, "count": 65}), none.clone(), "the largest buffer has only 64 bytes"),
             (json!({"bufferView": 9}), none.clone(), "out of range"),
             (json!({"componentType": 5127}), none.clone(), "none that glTF 2.0 knows"),
             (json!({"type": "VEC4"}), none.clone(), "cannot be Vec4"),

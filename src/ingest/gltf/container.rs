@@ -109,9 +109,9 @@ impl Asset {
         self.root.extensions_used.iter().filter(|name| !SUPPORTED.contains(&name.as_str())).cloned().collect()
     }
 
-    /// Bytes of all buffers together: what the size of anything decoded is measured against.
-    pub fn buffer_bytes(&self) -> usize {
-        self.buffers.iter().map(|b| b.len()).sum()
+    /// Size of the largest buffer: the measure for what has no bytes of its own.
+    pub fn largest_buffer_bytes(&self) -> usize {
+        self.buffers.iter().map(|buffer| buffer.len()).max().unwrap_or(0)
     }
 }
 

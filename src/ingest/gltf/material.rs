@@ -166,7 +166,7 @@ mod tests {
     fn texture_transforms_put_the_arrow_of_khronos_test_asset_on_its_correct_markers() {
         // TextureTransformTest: the arrow's tip is at (0.778, 0.778) of the image; its nodes place the green markers.
         let tip = Vec2::splat(0.778);
-        let rotation = uv_transform(Vec2::ZERO, 0.392_699, Vec2::ONE);
+        let rotation = uv_transform(Vec2::ZERO, std::f32::consts::FRAC_PI_8, Vec2::ONE);
         assert!(rotation.transform_point2(Vec2::new(0.421, 1.016)).abs_diff_eq(tip, 0.001));
         let scale = uv_transform(Vec2::ZERO, 0.0, Vec2::splat(1.5));
         assert!(scale.transform_point2(Vec2::splat(0.5185)).abs_diff_eq(tip, 0.001));

@@ -22,6 +22,7 @@ use serde::{Deserialize, Serialize};
 use crate::Result;
 use crate::job::MeshInput;
 use crate::scene::Meshes;
+use crate::scene::bounds::Bounds;
 
 use container::{Asset, place};
 use geometry::Geometry;
@@ -66,16 +67,6 @@ pub struct DroppedTriangles {
     pub zero_area: usize,
     /// A corner that is not a number, or too far away for f32.
     pub non_finite: usize,
-}
-
-/// A box along the axes, in metres.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "camelCase")]
-pub struct Bounds {
-    /// Least x, y, z.
-    pub min: [f64; 3],
-    /// Greatest x, y, z.
-    pub max: [f64; 3],
 }
 
 /// Appends the triangles of a scene of `input`, with their materials and textures, to `meshes`.
@@ -170,5 +161,5 @@ fn bounds(meshes: &Meshes, first_vertex: usize, origin: DVec3) -> Option<Bounds>
     let positions = &meshes.positions[first_vertex..];
     let first = positions.first()?;
     let (min, max) = positions.iter().fold((*first, *first), |(min, max), &p| (min.min(p), max.max(p)));
-    Some(Bounds { min: (origin + min.as_dvec3()).to_array(), max: (origin + max.as_dvec3()).to_array() })
+    Some(Bounds { min: origin + min.as_dvec3(), max: origin + max.as_dvec3() })
 }

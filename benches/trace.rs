@@ -1,0 +1,234 @@
+//! Rays per second and error of the tracers, in one table.
+//!
+//! ```text
+//! cargo bench --bench trace                                   # the generated interior, 1.5 M Gaussians, SH 3
+//! cargo bench --bench trace -- --gaussians 750000 --sh 0
+//! cargo bench --bench trace -- --splats scene.ply --probe 0,1.5,0
+//! cargo bench --bench trace -- --cases beam-800,beam-64 --runs 9 --pixels 4000
+//! ```
+//!
+//! Times are medians over `--runs`, at all cores and at one. Errors are against `reference` in display space at
+//! `--pixels` random texels of the case's cube.
+
+use std::time::Instant;
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+use splatprobe::bvh::Bvh;
+use splatprobe::generate::{InteriorSettings, ROOM, interior};
+use splatprobe::ingest;
+use splatprobe::job::{Order, SplatInput, Transform};
+use splatprobe::scene::{Scene, colour};
+use splatprobe::shade::UnlitSurfaces;
+use splatprobe::trace::{
+    BeamTracer, Face, Level, Radiance, Ray, RayTracer, ReferenceTracer, Tile, TileTracer, TraceSettings,
+};
+
+struct Arguments {
+    gaussians: usize,
+    sh_degree: u8,
+    splats: Option<String>,
+    probe: Option<DVec3>,
+    cases: Vec<String>,
+    runs: usize,
+    pixels: usize,
+    threads: usize,
+}
+
+fn main() {
+    let arguments = parse();
+    let start = Instant::now();
+    let mut scene = load(&arguments);
+    println!("scene: {} Gaussians, SH {}, {:.2} s to load", scene.splats.len(), scene.splats.sh_degree, seconds(start));
+    let start = Instant::now();
+    let bvh = Bvh::build(&mut scene);
+    println!("tree: {} nodes, {:.2} s to build", bvh.nodes.len(), seconds(start));
+    println!("peak memory: {:.0} bytes per Gaussian", peak_memory() / scene.splats.len() as f64);
+    let probe = arguments.probe.unwrap_or(DVec3::new(1.5 * ROOM.x, 1.6, 1.5 * ROOM.z)) - scene.origin;
+    println!("level {}, {} cores, probe {probe}", Level::best().name(), arguments.threads);
+    println!("| case | seconds | Mrays/s | on one core | RMS | max | over 1e-3 |");
+    println!("|---|---|---|---|---|---|---|");
+    for case in &arguments.cases {
+        measure(&scene, &bvh, probe, case, &arguments);
+    }
+}
+
+/// A case's name is `tracer-size`, then `-camera` for cameraDistance and `-avx2` or `-scalar` for a lower level.
+fn measure(scene: &Scene, bvh: &Bvh, probe: DVec3, case: &str, arguments: &Arguments) {
+    let mut words = case.split('-');
+    let (tracer, size) = (words.next().unwrap_or(""), words.next().and_then(|s| s.parse().ok()).unwrap_or(256));
+    let mut settings = TraceSettings::default();
+    let mut level = Level::best();
+    for word in words {
+        match word {
+            "camera" => settings.order = Order::CameraDistance,
+            name => {
+                let named = |l: &Level| l.name().to_lowercase() == name;
+                level = Level::available().into_iter().find(named).unwrap_or(level);
+            }
+        }
+    }
+    let surfaces = UnlitSurfaces::new(&scene.meshes);
+    let beam = BeamTracer { scene, bvh, surfaces: &surfaces, settings, level };
+    let ray = RayTracer { scene, bvh, surfaces: &surfaces, settings };
+    let tracer: &dyn TileTracer = if tracer == "ray" { &ray } else { &beam };
+
+    let rays = 6.0 * f64::from(size) * f64::from(size);
+    let median = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a thread pool");
+        let mut times: Vec<f64> = (0..arguments.runs)
+            .map(|_| {
+                let start = Instant::now();
+                pool.install(|| cube(tracer, probe, size));
+                seconds(start)
+            })
+            .collect();
+        times.sort_by(f64::total_cmp);
+        times[times.len() / 2]
+    };
+    let (all, one) = (median(arguments.threads), median(1));
+    let error = error(scene, &surfaces, settings, tracer, probe, size, arguments.pixels);
+    println!(
+        "| {case} | {all:.3} | {:.2} | {:.2} | {:.1e} | {:.1e} | {} of {} |",
+        rays / all / 1e6,
+        rays / one / 1e6,
+        error.rms,
+        error.max,
+        error.large,
+        arguments.pixels,
+    );
+}
+
+fn tiles(size: u32) -> Vec<Tile> {
+    let starts = || (0..size).step_by(Tile::EDGE as usize);
+    let mut tiles = Vec::new();
+    for face in Face::ALL {
+        for y in starts() {
+            tiles.extend(starts().map(|x| Tile {
+                face,
+                face_size: size,
+                x,
+                y,
+                width: Tile::EDGE.min(size - x),
+                height: Tile::EDGE.min(size - y),
+            }));
+        }
+    }
+    tiles
+}
+
+fn cube(tracer: &dyn TileTracer, probe: DVec3, size: u32) -> Vec<Vec<Radiance>> {
+    tiles(size)
+        .into_par_iter()
+        .map(|tile| {
+            let mut texels = vec![Radiance::default(); tile.len()];
+            tracer.trace_tile(probe, &tile, &mut texels);
+            texels
+        })
+        .collect()
+}
+
+struct Error {
+    rms: f64,
+    max: f32,
+    large: usize,
+}
+
+fn error(
+    scene: &Scene,
+    surfaces: &UnlitSurfaces,
+    settings: TraceSettings,
+    tracer: &dyn TileTracer,
+    probe: DVec3,
+    size: u32,
+    pixels: usize,
+) -> Error {
+    let texels: Vec<(Ray, Radiance)> = tiles(size)
+        .iter()
+        .zip(cube(tracer, probe, size))
+        .flat_map(|(tile, texels)| {
+            let rays: Vec<Ray> = tile.directions().map(|direction| Ray { origin: probe, direction }).collect();
+            rays.into_iter().zip(texels)
+        })
+        .collect();
+    let truth = ReferenceTracer { scene, surfaces, settings };
+    // A stride prime to any face size visits all parts of the cube.
+    let differences: Vec<f32> = (0..pixels)
+        .into_par_iter()
+        .map(|k| {
+            let (ray, seen) = &texels[(k * 7_919_993) % texels.len()];
+            (display(seen) - display(&truth.trace(ray))).abs().max_element()
+        })
+        .collect();
+    let squares: f64 = differences.iter().map(|&d| f64::from(d).powi(2)).sum();
+    Error {
+        rms: (squares / pixels as f64).sqrt(),
+        max: differences.iter().copied().fold(0.0, f32::max),
+        large: differences.iter().filter(|&&d| d > 1e-3).count(),
+    }
+}
+
+fn display(radiance: &Radiance) -> Vec3 {
+    let linear = radiance.to_linear(Default::default(), Default::default()).0;
+    Vec3::from_array(linear.to_array().map(colour::linear_to_srgb))
+}
+
+fn load(arguments: &Arguments) -> Scene {
+    match &arguments.splats {
+        Some(path) => {
+            let input = SplatInput { path: path.into(), frame: None, transform: Transform::default(), encoding: None };
+            ingest::load_scene(&[input], &[]).unwrap_or_else(|error| panic!("{error}")).0
+        }
+        None => {
+            let (gaussians, sh_degree) = (arguments.gaussians, arguments.sh_degree);
+            let splats = interior(&InteriorSettings { gaussians, sh_degree, ..InteriorSettings::default() });
+            Scene { splats, ..Scene::default() }
+        }
+    }
+}
+
+fn parse() -> Arguments {
+    let mut arguments = Arguments {
+        gaussians: 1_500_000,
+        sh_degree: 3,
+        splats: None,
+        probe: None,
+        cases: ["beam-800", "beam-800-camera", "beam-256", "beam-64", "beam-256-avx2", "ray-256"]
+            .map(String::from)
+            .into(),
+        runs: 5,
+        pixels: 400,
+        threads: std::thread::available_parallelism().map_or(1, usize::from),
+    };
+    let mut words = std::env::args().skip(1).filter(|word| word != "--bench");
+    while let Some(word) = words.next() {
+        let value = words.next().unwrap_or_else(|| panic!("{word} needs a value"));
+        let number = || value.parse::<usize>().unwrap_or_else(|_| panic!("{word}: '{value}' is not a number"));
+        match word.as_str() {
+            "--gaussians" => arguments.gaussians = number(),
+            "--sh" => arguments.sh_degree = number() as u8,
+            "--splats" => arguments.splats = Some(value),
+            "--probe" => {
+                let metres: Vec<f64> = value.split(',').filter_map(|x| x.parse().ok()).collect();
+                arguments.probe = Some(DVec3::from_slice(&metres));
+            }
+            "--cases" => arguments.cases = value.split(',').map(String::from).collect(),
+            "--runs" => arguments.runs = number(),
+            "--pixels" => arguments.pixels = number(),
+            "--threads" => arguments.threads = number(),
+            _ => panic!("{word} is not an argument of this bench"),
+        }
+    }
+    arguments
+}
+
+fn seconds(start: Instant) -> f64 {
+    start.elapsed().as_secs_f64()
+}
+
+/// The largest resident set so far, in bytes; 0 where the system does not tell.
+fn peak_memory() -> f64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find(|line| line.starts_with("VmHWM:")).unwrap_or("");
+    line.split_whitespace().nth(1).and_then(|kib| kib.parse::<f64>().ok()).unwrap_or(0.0) * 1024.0
+}

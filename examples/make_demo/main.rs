@@ -1,0 +1,23 @@
+//! Writes the demo's inputs: `cargo run --example make_demo [-- FOLDER]`, by default into `pipelines/demo`.
+
+mod lamp;
+mod ply;
+
+use std::path::{Path, PathBuf};
+
+use splatprobe::generate::{InteriorSettings, interior};
+
+/// Few Gaussians, so that the file is small; larger ones than a capture's, so that the walls have no holes.
+const ROOMS: InteriorSettings =
+    InteriorSettings { gaussians: 52_000, rooms: [2, 1], sh_degree: 0, seed: 1, gaussian_size: 1.6 };
+
+fn main() -> std::io::Result<()> {
+    let default = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/pipelines/demo"));
+    write(&std::env::args_os().nth(1).map_or(default, PathBuf::from))
+}
+
+/// Writes `demo.ply` and `lamp.glb` into `folder`.
+pub fn write(folder: &Path) -> std::io::Result<()> {
+    std::fs::write(folder.join("demo.ply"), ply::encode(&interior(&ROOMS)))?;
+    std::fs::write(folder.join("lamp.glb"), lamp::glb())
+}
