@@ -88,14 +88,14 @@ impl Tile {
         self.width as usize * self.height as usize
     }
 
+    /// Unit direction through the centre of a texel, counted from the tile's corner.
+    pub fn direction(&self, x: u32, y: u32) -> DVec3 {
+        self.face.direction(self.face_size, f64::from(self.x + x) + 0.5, f64::from(self.y + y) + 0.5).normalize()
+    }
+
     /// Unit directions through the texels' centres, row by row.
     pub fn directions(&self) -> impl Iterator<Item = DVec3> + '_ {
-        let (rows, columns) = (self.y..self.y + self.height, self.x..self.x + self.width);
-        rows.flat_map(move |y| {
-            columns
-                .clone()
-                .map(move |x| self.face.direction(self.face_size, f64::from(x) + 0.5, f64::from(y) + 0.5).normalize())
-        })
+        (0..self.height).flat_map(move |y| (0..self.width).map(move |x| self.direction(x, y)))
     }
 
     /// Whether the tile has no texels.

@@ -89,7 +89,7 @@ impl Ord for Event {
 impl RayTracer<'_> {
     /// Everything along one ray until its transmittance falls below the cut-off.
     pub fn trace(&self, ray: &Ray, scratch: &mut RayScratch) -> Radiance {
-        pulp::Arch::new().dispatch(|| self.walk(ray, scratch))
+        pulp::Arch::new().dispatch(TraceRay { tracer: self, ray, scratch })
     }
 
     #[inline(always)]
@@ -215,11 +215,25 @@ impl RayTracer<'_> {
 impl TileTracer for RayTracer<'_> {
     fn trace_tile(&self, origin: DVec3, tile: &Tile, texels: &mut [Radiance]) {
         let mut scratch = RayScratch::default();
-        pulp::Arch::new().dispatch(|| {
-            for (texel, direction) in texels.iter_mut().zip(tile.directions()) {
-                *texel = self.walk(&Ray { origin, direction }, &mut scratch);
-            }
-        });
+        for (texel, direction) in texels.iter_mut().zip(tile.directions()) {
+            *texel = self.trace(&Ray { origin, direction }, &mut scratch);
+        }
+    }
+}
+
+/// One ray at the machine's best instruction level: a closure would be compiled outside of it.
+struct TraceRay<'a, 'b> {
+    tracer: &'a RayTracer<'b>,
+    ray: &'a Ray,
+    scratch: &'a mut RayScratch,
+}
+
+impl pulp::WithSimd for TraceRay<'_, '_> {
+    type Output = Radiance;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> Radiance {
+        self.tracer.walk(self.ray, self.scratch)
     }
 }
 

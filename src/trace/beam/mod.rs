@@ -9,15 +9,17 @@
 mod block;
 mod frustum;
 mod project;
+mod shade;
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use glam::DVec3;
 
-use self::block::{BLOCK_EDGE, Block, Shader};
+use self::block::{BLOCK_EDGE, Block};
 use self::frustum::Frustum;
 use self::project::{Candidate, Projection};
+use self::shade::{ShadeChunk, Shader};
 use super::level::Level;
 use super::ray::RayScratch;
 use super::{Radiance, Ray, RayTracer, Surfaces, Tile, TileTracer, TraceSettings};
@@ -50,8 +52,8 @@ struct Walk<'a> {
     tracer: &'a BeamTracer<'a>,
     frustum: Frustum,
     projection: Projection,
-    /// Nodes and candidates by lower bound.
-    queue: BinaryHeap<Reverse<(u32, u64)>>,
+    /// Nodes and candidates by the bits of their lower bound, then by what they are.
+    queue: BinaryHeap<Reverse<(u32, Queued)>>,
     /// Projected candidates that wait in the queue; freed slots are used again.
     waiting: Vec<Candidate>,
     free: Vec<u32>,
@@ -59,10 +61,17 @@ struct Walk<'a> {
     live: u64,
 }
 
-/// Tags of queue entries: what the low 32 bits of the payload are.
-const TAG_NODE: u64 = 0;
-const TAG_LANE: u64 = 1;
-const TAG_CANDIDATE: u64 = 2;
+/// What waits in the queue. Candidates with equal keys leave it in the order of their indices.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Queued {
+    Node(u32),
+    /// A leaf: node times [`WIDTH`] plus lane.
+    Leaf(u32),
+    Candidate {
+        index: u32,
+        slot: u32,
+    },
+}
 
 impl TileTracer for BeamTracer<'_> {
     fn trace_tile(&self, origin: DVec3, tile: &Tile, texels: &mut [Radiance]) {
@@ -72,13 +81,12 @@ impl TileTracer for BeamTracer<'_> {
             .flat_map(|row| (0..blocks_per_row).map(move |column| (column * BLOCK_EDGE, row * BLOCK_EDGE)))
             .map(|(x, y)| Block::new(tile, x, y, self.settings.t_near))
             .collect();
-        let mut shader = Shader::new(self, origin);
+        let mut shader = Shader::new(self, origin, tile);
         let mut chunk = Vec::with_capacity(CHUNK);
         loop {
             let bound = walk.gather(&mut chunk);
-            self.level.run(block::ShadeChunk {
+            self.level.run(ShadeChunk {
                 shader: &mut shader,
-                tile,
                 blocks: &mut blocks,
                 blocks_per_row,
                 chunk: &chunk,
@@ -100,12 +108,12 @@ impl BeamTracer<'_> {
         let exact = RayTracer { scene: self.scene, bvh: self.bvh, surfaces: self.surfaces, settings: self.settings };
         let mut scratch = RayScratch::default();
         let blocks_per_row = tile.width.div_ceil(BLOCK_EDGE);
-        for ((i, texel), direction) in texels.iter_mut().enumerate().zip(tile.directions()) {
+        for (i, texel) in texels.iter_mut().enumerate() {
             let (x, y) = (i as u32 % tile.width, i as u32 / tile.width);
             let block = &blocks[(y / BLOCK_EDGE * blocks_per_row + x / BLOCK_EDGE) as usize];
             *texel = match block.radiance((y % BLOCK_EDGE * BLOCK_EDGE + x % BLOCK_EDGE) as usize) {
                 Some(radiance) => radiance,
-                None => exact.trace(&Ray { origin, direction }, &mut scratch),
+                None => exact.trace(&Ray { origin, direction: tile.direction(x, y) }, &mut scratch),
             };
         }
     }
@@ -124,7 +132,7 @@ impl<'a> Walk<'a> {
         let live = (0..cells(tile.height)).fold(0, |live, y| live | row << (8 * y));
         let mut queue = BinaryHeap::new();
         if !tracer.bvh.nodes.is_empty() {
-            queue.push(Reverse((0, TAG_NODE << 32)));
+            queue.push(Reverse((0, Queued::Node(0))));
         }
         Self {
             tracer,
@@ -140,19 +148,21 @@ impl<'a> Walk<'a> {
     /// Fills `chunk` with the next candidates and returns a lower bound on the keys of all that is still to come.
     fn gather(&mut self, chunk: &mut Vec<Candidate>) -> f32 {
         while chunk.len() < CHUNK {
-            let Some(Reverse((_, payload))) = self.queue.pop() else { return f32::INFINITY };
-            let index = payload as u32;
-            match payload >> 32 {
-                TAG_NODE => self.open(index),
-                TAG_LANE => self.open_lane(index),
-                _ => {
-                    self.free.push(index);
-                    let mut candidate = self.waiting[index as usize];
+            let Some(Reverse((_, queued))) = self.queue.pop() else { return f32::INFINITY };
+            match queued {
+                Queued::Node(node) => self.open(node),
+                Queued::Leaf(leaf) => self.open_leaf(leaf),
+                Queued::Candidate { slot, .. } => {
+                    self.free.push(slot);
+                    let candidate = &self.waiting[slot as usize];
                     if candidate.cells & self.live != 0 {
-                        if candidate.is_gaussian() && self.tracer.settings.sh_direction == ShDirection::Mean {
-                            candidate.colour = self.tracer.colour(candidate.index as usize, self.projection.origin);
+                        chunk.push(*candidate);
+                        if let Some(added) = chunk.last_mut()
+                            && added.is_gaussian()
+                            && self.tracer.settings.sh_direction == ShDirection::Mean
+                        {
+                            added.colour = self.tracer.colour(added.index as usize, self.projection.origin);
                         }
-                        chunk.push(candidate);
                     }
                 }
             }
@@ -165,18 +175,18 @@ impl<'a> Walk<'a> {
         let seen = self.frustum.meet(wide);
         for lane in 0..WIDTH {
             if seen.cells[lane] & self.live != 0 {
-                let payload = match wide.child(lane) {
-                    Child::Node(child) => TAG_NODE << 32 | u64::from(child),
-                    _ => TAG_LANE << 32 | u64::from(node * WIDTH as u32 + lane as u32),
+                let queued = match wide.child(lane) {
+                    Child::Node(child) => Queued::Node(child),
+                    _ => Queued::Leaf(node * WIDTH as u32 + lane as u32),
                 };
-                self.queue.push(Reverse((seen.keys[lane].to_bits(), payload)));
+                self.queue.push(Reverse((seen.keys[lane].to_bits(), queued)));
             }
         }
     }
 
-    fn open_lane(&mut self, node_and_lane: u32) {
-        let wide = &self.tracer.bvh.nodes[node_and_lane as usize / WIDTH];
-        match wide.child(node_and_lane as usize % WIDTH) {
+    fn open_leaf(&mut self, leaf: u32) {
+        let wide = &self.tracer.bvh.nodes[leaf as usize / WIDTH];
+        match wide.child(leaf as usize % WIDTH) {
             Child::Gaussians { first, count } => {
                 for index in first..first + count {
                     let projected = self.projection.gaussian(&self.tracer.scene.splats, index);
@@ -205,6 +215,7 @@ impl<'a> Walk<'a> {
                 self.waiting.len() as u32 - 1
             }
         };
-        self.queue.push(Reverse((candidate.key_low.to_bits(), TAG_CANDIDATE << 32 | u64::from(slot))));
+        let queued = Queued::Candidate { index: candidate.index, slot };
+        self.queue.push(Reverse((candidate.key_low.to_bits(), queued)));
     }
 }

@@ -13,6 +13,7 @@
 
 use glam::{DMat3, DVec3};
 
+use super::CELL_EDGE;
 use super::frustum::cell_mask;
 use crate::job::Order;
 use crate::scene::{Meshes, Splats};
@@ -21,8 +22,8 @@ use crate::trace::Tile;
 /// Image positions are formed in f64; a texel's centre this close to an ellipse's edge counts as inside.
 const TEXEL_SLACK: f64 = 1e-3;
 
-/// `key_low` rounds down by this much when it becomes f32.
-const KEY_SLACK: f64 = 1e-6;
+/// Lower bounds round down by this much when they become f32: the forms they are made from carry a few roundings.
+const KEY_SLACK: f64 = 2e-6;
 
 /// What a block needs to evaluate a Gaussian or a triangle at its texels. (x, y) are texels from the tile's corner.
 #[derive(Debug, Clone, Copy)]
@@ -36,6 +37,10 @@ pub(super) struct Candidate {
     pub log2_opacity: f32,
     /// `|p|` in the scale of h: the depth of the strongest response is `depth h / (v.v)`.
     pub depth: f32,
+    /// `depth (1 - r^2 / |p|^2)`, or 0: the least depth of a response is at least this over the largest h, and at least
+    /// `nearest`. For a thin disc that is its plane, however oblique.
+    depth_low: f32,
+    nearest: f32,
     /// A lower bound on the sort keys of its contributions, and for `cameraDistance` the key itself.
     pub key_low: f32,
     pub colour: [f32; 3],
@@ -57,6 +62,22 @@ impl Candidate {
 
     pub fn triangle(&self) -> u32 {
         self.index & !Self::TRIANGLE
+    }
+
+    /// A lower bound on the depths of its contributions in a cell, given by its first texel.
+    #[inline(always)]
+    pub fn depth_low_in(&self, x: u32, y: u32) -> f32 {
+        self.depth_low_between([x as f32, y as f32], CELL_EDGE as f32)
+    }
+
+    #[inline(always)]
+    fn depth_low_between(&self, corner: [f32; 2], edge: f32) -> f32 {
+        // Where it responds, u^2 + s^2 <= r^2 v.v / |p|^2, so v.v <= h^2 / (1 - r^2 / |p|^2), and the depth
+        // |p| h / v.v is at least |p| (1 - r^2 / |p|^2) / h.
+        let [h0, hx, hy] = self.h;
+        let steepest = h0 + hx * corner[0] + hy * corner[1] + edge * (hx.max(0.0) + hy.max(0.0));
+        let plane = if steepest > 0.0 { self.depth_low / steepest } else { 0.0 };
+        if plane > self.nearest { plane } else { self.nearest }
     }
 }
 
@@ -109,23 +130,28 @@ impl Projection {
         let s_axis = ahead.cross(u_axis);
         let forms = |axis: DVec3| [axis.dot(v0) as f32, axis.dot(vx) as f32, axis.dot(vy) as f32];
         let s = forms(s_axis);
-        let key_low = match self.order {
-            Order::RayHitDistance => (view.nearest.max(0.0) * (1.0 - KEY_SLACK)) as f32,
-            Order::CameraDistance => mean.length() as f32,
-        };
-        Some(Candidate {
+        let h = forms(ahead);
+        let depth = p_length * scale;
+        let mut candidate = Candidate {
             u: forms(u_axis),
             s: [s[0], s[2]],
-            h: forms(ahead),
+            h,
             falloff: (p_length * p_length * std::f64::consts::LOG2_E / 2.0) as f32,
             log2_opacity: f64::from(splats.opacities[i]).log2() as f32,
-            depth: (p_length * scale) as f32,
-            key_low,
+            depth: depth as f32,
+            depth_low: (depth * (1.0 - radius_squared / (p_length * p_length)).max(0.0) * (1.0 - KEY_SLACK)) as f32,
+            nearest: (view.nearest.max(0.0) * (1.0 - KEY_SLACK)) as f32,
+            key_low: 0.0,
             colour: [0.0; 3],
             index,
             bounds: view.bounds,
             cells: view.cells,
-        })
+        };
+        candidate.key_low = match self.order {
+            Order::RayHitDistance => candidate.depth_low_between([0.0; 2], Tile::EDGE as f32),
+            Order::CameraDistance => mean.length() as f32,
+        };
+        Some(candidate)
     }
 
     /// `None` when the tile cannot see the triangle.
@@ -161,6 +187,8 @@ impl Projection {
             falloff: 0.0,
             log2_opacity: 0.0,
             depth: 0.0,
+            depth_low: 0.0,
+            nearest: (nearest.max(0.0) * (1.0 - KEY_SLACK)) as f32,
             key_low: key_low as f32,
             colour: [0.0; 3],
             index: index | Candidate::TRIANGLE,

@@ -1,0 +1,302 @@
+//! A chunk of candidates into the blocks of a tile: dealt to cells, sorted there, evaluated in SIMD lanes.
+
+use glam::DVec3;
+use pulp::{Simd, WithSimd};
+
+use super::block::{BLOCK_EDGE, Block, Colour, Desk, Entry, LANES, Lanes, State};
+use super::project::Candidate;
+use super::{BeamTracer, CELL_EDGE};
+use crate::job::{Order, ShDirection};
+use crate::scene::sh;
+use crate::scene::splats::ALPHA_MAX;
+use crate::trace::{Ray, SurfaceHit, Tile, triangle};
+
+/// Candidates that a block evaluates before it looks which of them come next: enough for their arithmetic to overlap,
+/// few enough not to evaluate much behind an opaque surface.
+const BATCH: usize = 8;
+
+/// Shades blocks; holds what they share so that nothing is allocated per block.
+pub(super) struct Shader<'a> {
+    tracer: &'a BeamTracer<'a>,
+    origin: DVec3,
+    tile: Tile,
+    /// Per cell of the tile, the chunk's candidates that may touch it: key bound in the cell, and index.
+    cells: Vec<Vec<u64>>,
+    /// Colours of entries whose lanes differ.
+    lane_colours: Vec<[Lanes; 3]>,
+    desks: Vec<Box<Desk>>,
+}
+
+impl<'a> Shader<'a> {
+    pub fn new(tracer: &'a BeamTracer<'a>, origin: DVec3, tile: &Tile) -> Self {
+        Self { tracer, origin, tile: *tile, cells: vec![Vec::new(); 64], lane_colours: Vec::new(), desks: Vec::new() }
+    }
+}
+
+/// One chunk of candidates into all blocks of a tile.
+pub(super) struct ShadeChunk<'a, 'b> {
+    pub shader: &'a mut Shader<'b>,
+    pub blocks: &'a mut [Block],
+    pub blocks_per_row: u32,
+    pub chunk: &'a [Candidate],
+    /// A lower bound on the keys of all candidates after this chunk.
+    pub bound: f32,
+    /// Cells with rays that have not ended; updated.
+    pub live: &'a mut u64,
+}
+
+impl WithSimd for ShadeChunk<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { shader, blocks, blocks_per_row, chunk, bound, live } = self;
+        shader.deal(chunk, *live);
+        let rows = blocks.len() as u32 / blocks_per_row;
+        let per_cell = CELL_EDGE / BLOCK_EDGE;
+        for cell in 0..64u32 {
+            let mut list = std::mem::take(&mut shader.cells[cell as usize]);
+            if *live & 1 << cell != 0 && (!list.is_empty() || bound == f32::INFINITY) {
+                list.sort_unstable();
+                let mut alive = false;
+                for k in 0..per_cell * per_cell {
+                    let (column, row) = (cell % 8 * per_cell + k % per_cell, cell / 8 * per_cell + k / per_cell);
+                    if column < blocks_per_row && row < rows {
+                        let block = &mut blocks[(row * blocks_per_row + column) as usize];
+                        if block.state == State::Live {
+                            shader.shade(simd, block, chunk, &list, bound);
+                        }
+                        alive |= block.state == State::Live;
+                    }
+                }
+                if !alive {
+                    *live &= !(1 << cell);
+                }
+            }
+            list.clear();
+            shader.cells[cell as usize] = list;
+        }
+    }
+}
+
+impl Shader<'_> {
+    /// Lists each candidate in the live cells it may touch, with the least key it can have there.
+    #[inline(always)]
+    fn deal(&mut self, chunk: &[Candidate], live: u64) {
+        for (i, candidate) in chunk.iter().enumerate() {
+            let mut cells = candidate.cells & live;
+            while cells != 0 {
+                let cell = cells.trailing_zeros();
+                cells &= cells - 1;
+                let key_low = match self.tracer.settings.order {
+                    Order::RayHitDistance => candidate.depth_low_in(cell % 8 * CELL_EDGE, cell / 8 * CELL_EDGE),
+                    Order::CameraDistance => candidate.key_low,
+                };
+                // Keys are not negative, so their bit patterns order as they do.
+                self.cells[cell as usize].push(u64::from(key_low.to_bits()) << 32 | i as u64);
+            }
+        }
+    }
+
+    /// Evaluates `list`, sorted, in `block`; blends everything whose order is settled when all keys still to come are
+    /// at least `bound`.
+    #[inline(always)]
+    fn shade<S: Simd>(&mut self, simd: S, block: &mut Block, chunk: &[Candidate], list: &[u64], bound: f32) {
+        let cutoff = self.tracer.settings.t_cutoff;
+        let (left, top) = (block.x.0[0] as i16, block.y.0[0] as i16);
+        let last = BLOCK_EDGE as i16 - 1;
+        let touches = |candidate: &Candidate| {
+            let [x0, y0, x1, y1] = candidate.bounds;
+            x0 <= left + last && x1 >= left && y0 <= top + last && y1 >= top
+        };
+        let mut desk = block.take_desk(&mut self.desks);
+        let mut rest = list.iter();
+        loop {
+            let mut batch = [(0u32, f32::INFINITY); BATCH];
+            let mut filled = 0;
+            let mut next = bound;
+            for &listed in rest.by_ref() {
+                let candidate = &chunk[listed as u32 as usize];
+                if !touches(candidate) {
+                    continue;
+                }
+                let slot = desk.slot();
+                let key_min = if candidate.is_gaussian() {
+                    self.evaluate(simd, block, candidate, desk.entry(slot))
+                } else {
+                    self.intersect(block, candidate, desk.entry(slot))
+                };
+                batch[filled] = (slot, key_min);
+                filled += 1;
+                if filled == BATCH {
+                    next = f32::from_bits((listed >> 32) as u32).min(bound);
+                    break;
+                }
+            }
+            for &(slot, key_min) in &batch[..filled] {
+                if key_min < f32::INFINITY { desk.wait(slot, key_min) } else { desk.release(slot) }
+            }
+            block.advance(simd, &mut desk, next, cutoff, &self.lane_colours);
+            if filled < BATCH || block.state != State::Live {
+                break;
+            }
+        }
+        block.return_desk(desk, &mut self.desks);
+    }
+
+    /// Makes the entry of a Gaussian; returns its least key, infinity if no lane sees it respond with at least
+    /// 1/255 where it still counts.
+    #[inline(always)]
+    fn evaluate<S: Simd>(&mut self, simd: S, block: &Block, candidate: &Candidate, entry: &mut Entry) -> f32 {
+        let Candidate { u, s, h, falloff, log2_opacity, depth, .. } = *candidate;
+        let fixed_key = (self.tracer.settings.order == Order::CameraDistance).then_some(candidate.key_low);
+        let splat = |value: f32| simd.splat_f32s(value);
+        let (nowhere, infinity) = (splat(f32::NEG_INFINITY), splat(f32::INFINITY));
+        let mut key_min = infinity;
+        for v in 0..LANES / S::F32_LANES {
+            let (x, y) = (block.x.get::<S>(v), block.y.get::<S>(v));
+            let affine = |form: [f32; 3]| {
+                simd.mul_add_e_f32s(splat(form[1]), x, simd.mul_add_e_f32s(splat(form[2]), y, splat(form[0])))
+            };
+            let (u, h) = (affine(u), affine(h));
+            let s = simd.mul_add_e_f32s(splat(s[1]), y, splat(s[0]));
+            let across = simd.mul_add_e_f32s(u, u, simd.mul_f32s(s, s));
+            let v_squared_inverse = simd.div_f32s(splat(1.0), simd.mul_add_e_f32s(h, h, across));
+            let exponent = simd
+                .sub_f32s(splat(log2_opacity), simd.mul_f32s(splat(falloff), simd.mul_f32s(across, v_squared_inverse)));
+            let lane_depth = simd.mul_f32s(simd.mul_f32s(splat(depth), h), v_squared_inverse);
+            let contributes = simd.and_m32s(
+                simd.greater_than_or_equal_f32s(exponent, splat(LOG2_ALPHA_MIN)),
+                simd.greater_than_f32s(lane_depth, block.near_depth.get::<S>(v)),
+            );
+            let alpha = simd.min_f32s(exp2(simd, exponent), splat(ALPHA_MAX as f32));
+            let key = fixed_key.map_or(lane_depth, splat);
+            key_min = simd.min_f32s(key_min, simd.select_f32s(contributes, key, infinity));
+            entry.key.set::<S>(v, simd.select_f32s(contributes, key, nowhere));
+            entry.depth.set::<S>(v, lane_depth);
+            entry.alpha.set::<S>(v, simd.select_f32s(contributes, alpha, splat(0.0)));
+        }
+        entry.colour = match self.tracer.settings.sh_direction {
+            ShDirection::Mean => Colour::Splat(candidate.colour),
+            ShDirection::Ray => self.colours_along_rays(block, candidate.index as usize),
+        };
+        simd.reduce_min_f32s(key_min)
+    }
+
+    /// Makes the entry of a triangle; returns its least key, infinity if no lane sees it.
+    fn intersect(&mut self, block: &Block, candidate: &Candidate, entry: &mut Entry) -> f32 {
+        let index = candidate.triangle();
+        let (scene, surfaces) = (self.tracer.scene, self.tracer.surfaces);
+        let corners = scene.meshes.corners(index as usize).map(|corner| corner.as_dvec3() - self.origin);
+        let double_sided = surfaces.is_double_sided(index);
+        let mut colours = [Lanes::splat(0.0); 3];
+        *entry = Entry::EMPTY;
+        let mut key_min = f32::INFINITY;
+        for lane in 0..LANES {
+            if block.near_depth.0[lane] == f32::INFINITY {
+                continue;
+            }
+            // The same unit direction as the ray tracer's, so that both see the same edges.
+            let direction = block.direction(&self.tile, lane).normalize();
+            let Some(met) = triangle::intersect(corners, direction) else { continue };
+            if !(met.front || double_sided) || met.distance <= f64::from(self.tracer.settings.t_near) {
+                continue;
+            }
+            let hit =
+                SurfaceHit { triangle: index, barycentric: met.barycentric, front: met.front, distance: met.distance };
+            let fragment = surfaces.fragment(&Ray { origin: self.origin, direction }, &hit);
+            if fragment.alpha <= 0.0 {
+                continue;
+            }
+            entry.depth.0[lane] = met.distance as f32 / block.metres_per_depth.0[lane];
+            entry.key.0[lane] = match self.tracer.settings.order {
+                Order::RayHitDistance => entry.depth.0[lane],
+                Order::CameraDistance => met.distance as f32,
+            };
+            entry.alpha.0[lane] = fragment.alpha;
+            key_min = key_min.min(entry.key.0[lane]);
+            for (channel, value) in colours.iter_mut().zip(fragment.radiance.0.to_array()) {
+                channel.0[lane] = value;
+            }
+        }
+        if key_min < f32::INFINITY {
+            entry.colour = Colour::SurfaceLanes(self.lane_colours.len() as u32);
+            self.lane_colours.push(colours);
+        }
+        key_min
+    }
+
+    fn colours_along_rays(&mut self, block: &Block, index: usize) -> Colour {
+        let splats = &self.tracer.scene.splats;
+        let mut colours = [Lanes::splat(0.0); 3];
+        for lane in 0..LANES {
+            let direction = block.direction(&self.tile, lane).normalize().as_vec3();
+            let colour = sh::evaluate(splats.sh_degree, splats.sh_of(index), direction);
+            for (channel, value) in colours.iter_mut().zip(colour.to_array()) {
+                channel.0[lane] = value;
+            }
+        }
+        self.lane_colours.push(colours);
+        Colour::SplatLanes(self.lane_colours.len() as u32 - 1)
+    }
+}
+
+/// log2(1/255).
+const LOG2_ALPHA_MIN: f32 = -7.994_353_4;
+
+/// 2^x for -126 < x < 126, to 1.5e-7 relative: `2^round(x)` through the exponent bits times a polynomial of degree 5,
+/// fitted to least relative error (7.5e-8) on [-1/2, 1/2].
+#[inline(always)]
+fn exp2<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
+    const COEFFICIENTS: [f32; 6] =
+        [1.000_000_1, 0.693_146_97, 0.240_221_2, 0.055_507_133, 0.009_675_541, 0.001_327_647_2];
+    // Adding 1.5 * 2^23 rounds to an integer and leaves it in the low bits of the mantissa.
+    let magic = simd.splat_f32s(12_582_912.0);
+    let rounded = simd.add_f32s(x, magic);
+    let fraction = simd.sub_f32s(x, simd.sub_f32s(rounded, magic));
+    let mut power = simd.splat_f32s(COEFFICIENTS[5]);
+    for coefficient in COEFFICIENTS[..5].iter().rev() {
+        power = simd.mul_add_e_f32s(power, fraction, simd.splat_f32s(*coefficient));
+    }
+    let exponent = simd.wrapping_dyn_shl_u32s(simd.transmute_u32s_f32s(rounded), simd.splat_u32s(23));
+    simd.transmute_f32s_u32s(simd.add_u32s(simd.transmute_u32s_f32s(power), exponent))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::splats::ALPHA_MIN;
+    use crate::trace::level::Level;
+
+    struct Powers<'a>(&'a [f32], &'a mut [f32]);
+
+    impl WithSimd for Powers<'_> {
+        type Output = ();
+
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, simd: S) {
+            let (inputs, outputs) = (S::as_simd_f32s(self.0).0, S::as_mut_simd_f32s(self.1).0);
+            for (x, power) in inputs.iter().zip(outputs) {
+                *power = exp2(simd, *x);
+            }
+        }
+    }
+
+    #[test]
+    fn exp2_is_good_to_two_ulps_at_every_level_over_the_range_of_responses() {
+        let inputs: Vec<f32> = (0..16_000).map(|i| -10.0 + i as f32 / 1600.0).collect();
+        for level in Level::available() {
+            let mut outputs = vec![0.0; inputs.len()];
+            level.run(Powers(&inputs, &mut outputs));
+            for (x, power) in inputs.iter().zip(&outputs) {
+                let exact = f64::from(*x).exp2();
+                assert!((f64::from(*power) / exact - 1.0).abs() < 2.4e-7, "{} 2^{x}", level.name());
+            }
+        }
+    }
+
+    #[test]
+    fn the_threshold_in_log2_is_the_models() {
+        assert!((f64::from(LOG2_ALPHA_MIN) - ALPHA_MIN.log2()).abs() < 5e-7);
+    }
+}
