@@ -24,19 +24,15 @@ fn assert_valid(scene: &Scene, bvh: &Bvh) {
             assert!(contains(&outer, &lane_box), "child {lane} of node {node} leaves its parent");
             match wide.child(lane) {
                 Child::Node(child) => pending.push((child, lane_box)),
-                Child::Gaussians { first, count } => {
-                    assert!((1..=WIDTH as u32).contains(&count));
-                    for i in first as usize..(first + count) as usize {
-                        gaussians[i] += 1;
-                        assert!(contains(&lane_box, &gaussian_box(&scene.splats, i)), "Gaussian {i} leaves its leaf");
-                    }
+                Child::Gaussian(i) => {
+                    gaussians[i as usize] += 1;
+                    let own_box = gaussian_box(&scene.splats, i as usize);
+                    assert!(contains(&lane_box, &own_box), "Gaussian {i} leaves its leaf");
                 }
-                Child::Triangles { first, count } => {
-                    for i in first as usize..(first + count) as usize {
-                        triangles[i] += 1;
-                        for corner in scene.meshes.corners(i).into_iter().filter(|corner| corner.is_finite()) {
-                            assert!(corner.cmpge(lane_box.min).all() && corner.cmple(lane_box.max).all());
-                        }
+                Child::Triangle(i) => {
+                    triangles[i as usize] += 1;
+                    for corner in scene.meshes.corners(i as usize).into_iter().filter(|corner| corner.is_finite()) {
+                        assert!(corner.cmpge(lane_box.min).all() && corner.cmple(lane_box.max).all());
                     }
                 }
             }

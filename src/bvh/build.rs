@@ -1,8 +1,7 @@
 //! From a scene to a wide tree: sort along a Morton curve, cluster, obvhs, widen.
 //!
 //! obvhs's working memory is some 260 bytes per primitive, more than a Gaussian with its colour. Clusters of up to
-//! eight neighbours cut that, and the build time, to a fraction; a tracer tests the members of a leaf side by side
-//! anyway.
+//! eight neighbours cut that, and the build time, to a fraction; they become the lowest nodes.
 
 use glam::Vec3;
 use obvhs::aabb::Aabb;
@@ -15,7 +14,7 @@ use super::boxes::{Box3, gaussian_box, triangle_box};
 use super::{Bvh, Child, WIDTH, WideNode};
 use crate::scene::{Meshes, Scene, Splats};
 
-/// A cluster may cover this many times its members' summed surface area. Larger values give fewer, looser leaves.
+/// A cluster may cover this many times its members' summed surface area. Larger values give fewer, looser nodes.
 const CLUSTER_LOOSENESS: f32 = 1.0;
 
 /// Cells per axis of the Morton curve: 3 x 21 bits fill a u64.
@@ -41,7 +40,7 @@ impl Bvh {
         let mut clusters = gaussian_clusters(&scene.splats, &gaussian_codes.codes);
         drop(gaussian_codes);
         clusters.extend(triangle_clusters(&scene.meshes, &triangle_codes.codes));
-        Self { nodes: widen(&clusters) }
+        Self { nodes: widen(scene, &clusters) }
     }
 }
 
@@ -143,20 +142,19 @@ fn cluster_block(
 
 /// Builds obvhs's binary tree over the clusters and widens it from the root: the inner child with the largest surface
 /// is replaced by its two children until a node has eight.
-fn widen(clusters: &[Cluster]) -> Vec<WideNode> {
+fn widen(scene: &Scene, clusters: &[Cluster]) -> Vec<WideNode> {
     if clusters.is_empty() {
         return Vec::new();
     }
     let binary = binary_tree(clusters);
     let mut nodes = vec![WideNode::EMPTY];
     // An explicit stack: the depth of a tree over hostile input is bounded only by its size.
-    let mut pending = vec![(0usize, Slot::Binary(0))];
+    let mut pending = vec![(0usize, Slot::of(0, &binary, clusters))];
     while let Some((target, slot)) = pending.pop() {
-        for (lane, (child_box, child)) in children(slot, &binary, clusters).into_iter().enumerate() {
-            let child = match child {
-                Slot::Range { cluster, first, count } if count as usize <= WIDTH => {
-                    leaf(&clusters[cluster], first, count)
-                }
+        for (lane, (child_box, slot)) in children(slot, &binary, scene, clusters).into_iter().enumerate() {
+            let child = match slot {
+                Slot::Part { first, count: 1, triangles: false } => Child::Gaussian(first),
+                Slot::Part { first, count: 1, triangles: true } => Child::Triangle(first),
                 inner => {
                     pending.push((nodes.len(), inner));
                     nodes.push(WideNode::EMPTY);
@@ -169,56 +167,66 @@ fn widen(clusters: &[Cluster]) -> Vec<WideNode> {
     nodes
 }
 
-/// Something that becomes a lane of a wide node.
+/// Something that becomes a lane of a wide node, and what is below that lane.
 #[derive(Clone, Copy)]
 enum Slot {
-    /// A node of the binary tree.
-    Binary(usize),
+    /// An inner node of the binary tree.
+    Inner(usize),
     /// Part of a cluster.
-    Range { cluster: usize, first: u32, count: u32 },
+    Part { first: u32, count: u32, triangles: bool },
 }
 
-fn leaf(cluster: &Cluster, first: u32, count: u32) -> Child {
-    if cluster.triangles { Child::Triangles { first, count } } else { Child::Gaussians { first, count } }
-}
-
-fn children(slot: Slot, binary: &Bvh2, clusters: &[Cluster]) -> Vec<(Box3, Slot)> {
-    let resolve = |slot: Slot| match slot {
-        Slot::Binary(index) if binary.nodes[index].is_leaf() => {
-            let cluster = binary.primitive_indices[binary.nodes[index].first_index as usize] as usize;
-            Slot::Range { cluster, first: clusters[cluster].first, count: clusters[cluster].count }
+impl Slot {
+    fn of(index: usize, binary: &Bvh2, clusters: &[Cluster]) -> Self {
+        let node = &binary.nodes[index];
+        if node.is_leaf() {
+            let Cluster { first, count, triangles, .. } =
+                clusters[binary.primitive_indices[node.first_index as usize] as usize];
+            Self::Part { first, count, triangles }
+        } else {
+            Self::Inner(index)
         }
-        other => other,
-    };
-    let with_box = |slot: Slot| {
-        let aabb = match slot {
-            Slot::Binary(index) => binary.nodes[index].aabb,
-            Slot::Range { cluster, .. } => return (clusters[cluster].child_box, slot),
-        };
-        (Box3 { min: aabb.min.into(), max: aabb.max.into() }, resolve(slot))
-    };
-    let mut slots = match resolve(slot) {
-        Slot::Range { cluster, first, count } if count as usize > WIDTH => {
-            let part = |k: u32| first + (u64::from(count) * u64::from(k) / WIDTH as u64) as u32;
-            return (0..WIDTH as u32)
-                .map(|k| with_box(Slot::Range { cluster, first: part(k), count: part(k + 1) - part(k) }))
-                .collect();
-        }
-        whole => vec![with_box(match whole {
-            Slot::Binary(_) => slot,
-            range => range,
-        })],
-    };
-    while slots.len() < WIDTH {
-        let widest = (0..slots.len())
-            .filter(|&k| matches!(slots[k].1, Slot::Binary(_)))
-            .max_by(|&a, &b| slots[a].0.half_area().total_cmp(&slots[b].0.half_area()));
-        let Some(widest) = widest else { break };
-        let Slot::Binary(index) = slots.swap_remove(widest).1 else { break };
-        let first_child = binary.nodes[index].first_index as usize;
-        slots.extend([with_box(Slot::Binary(first_child)), with_box(Slot::Binary(first_child + 1))]);
     }
-    slots
+}
+
+/// The up to eight children of what is below a lane, with their boxes.
+fn children(slot: Slot, binary: &Bvh2, scene: &Scene, clusters: &[Cluster]) -> Vec<(Box3, Slot)> {
+    match slot {
+        Slot::Part { first, count, triangles } => {
+            let parts = count.min(WIDTH as u32);
+            let start = |k: u32| first + (u64::from(count) * u64::from(k) / u64::from(parts)) as u32;
+            let part = |k: u32| {
+                let part_box = |i: u32| match triangles {
+                    true => triangle_box(&scene.meshes, i as usize),
+                    false => gaussian_box(&scene.splats, i as usize),
+                };
+                let bounds = (start(k)..start(k + 1)).map(part_box).fold(Box3::EMPTY, Box3::union);
+                (bounds, Slot::Part { first: start(k), count: start(k + 1) - start(k), triangles })
+            };
+            (0..parts).map(part).collect()
+        }
+        Slot::Inner(root) => {
+            let with_box = |index: usize| {
+                let aabb = binary.nodes[index].aabb;
+                (Box3 { min: aabb.min.into(), max: aabb.max.into() }, Slot::of(index, binary, clusters))
+            };
+            let pair = |index: usize| {
+                let first = binary.nodes[index].first_index as usize;
+                [with_box(first), with_box(first + 1)]
+            };
+            let mut slots = Vec::from(pair(root));
+            while slots.len() < WIDTH {
+                let inner = slots.iter().enumerate().filter_map(|(k, (child_box, slot))| match slot {
+                    Slot::Inner(index) => Some((k, *index, child_box.half_area())),
+                    Slot::Part { .. } => None,
+                });
+                let Some((widest, index, _)) = inner.max_by(|a, b| a.2.total_cmp(&b.2)) else { break };
+                slots.swap_remove(widest);
+                slots.extend(pair(index));
+            }
+            slots
+        }
+    }
 }
 
 fn binary_tree(clusters: &[Cluster]) -> Bvh2 {

@@ -2,7 +2,8 @@
 //!
 //! obvhs builds a binary tree (PLOC, Meister and Bittner 2018, with parallel reinsertion, 2022) over small clusters of
 //! neighbouring primitives; [`build`] widens it to eight children per node, the shape that SIMD traversal wants, and
-//! sorts the scene's primitives so that every leaf is a contiguous range. Tracers walk [`WideNode`]s themselves: a
+//! sorts the scene's primitives so that those of a node are neighbours in memory. A leaf is one primitive: eight exact
+//! boxes are tested as fast as one, and far faster than the primitives themselves. Tracers walk [`WideNode`]s themselves: a
 //! probe's beam and a single ray need different orders, and obvhs's own traversal ignores a ray's near end.
 
 mod boxes;
@@ -10,10 +11,10 @@ mod build;
 
 pub use boxes::{Box3, gaussian_box};
 
-/// Children per node, and most primitives per leaf.
+/// Children per node.
 pub const WIDTH: usize = 8;
 
-/// The tree. Leaves refer to ranges of [`crate::scene::Splats`] and [`crate::scene::Meshes::triangles`], which
+/// The tree. Leaves refer to [`crate::scene::Splats`] and [`crate::scene::Meshes::triangles`], which
 /// [`Bvh::build`] has put in leaf order.
 #[derive(Debug, Default)]
 pub struct Bvh {
@@ -29,10 +30,10 @@ pub struct WideNode {
     pub min: [[f32; WIDTH]; 3],
     /// Upper corners; negative infinity where there is no child.
     pub max: [[f32; WIDTH]; 3],
-    /// First node or first primitive of each child.
-    first: [u32; WIDTH],
-    /// What each child is: see [`WideNode::child`].
-    kind: [u8; WIDTH],
+    /// Node or primitive of each child.
+    index: [u32; WIDTH],
+    /// What each child is.
+    kind: [Kind; WIDTH],
 }
 
 /// What is under one lane of a [`WideNode`].
@@ -40,42 +41,34 @@ pub struct WideNode {
 pub enum Child {
     /// An inner node, by index.
     Node(u32),
-    /// Gaussians `first .. first + count`.
-    Gaussians {
-        /// First Gaussian.
-        first: u32,
-        /// How many, 1 to [`WIDTH`].
-        count: u32,
-    },
-    /// Triangles `first .. first + count`.
-    Triangles {
-        /// First triangle.
-        first: u32,
-        /// How many, 1 to [`WIDTH`].
-        count: u32,
-    },
+    /// A Gaussian, by index.
+    Gaussian(u32),
+    /// A triangle, by index.
+    Triangle(u32),
 }
 
-/// `kind` of an inner node; a leaf of Gaussians holds its count, a leaf of triangles its count and this bit.
-const KIND_NODE: u8 = 0;
-const KIND_TRIANGLES: u8 = 0x80;
+#[derive(Debug, Clone, Copy)]
+enum Kind {
+    Node,
+    Gaussian,
+    Triangle,
+}
 
 impl WideNode {
     const EMPTY: Self = Self {
         min: [[f32::INFINITY; WIDTH]; 3],
         max: [[f32::NEG_INFINITY; WIDTH]; 3],
-        first: [0; WIDTH],
-        kind: [KIND_NODE; WIDTH],
+        index: [0; WIDTH],
+        kind: [Kind::Node; WIDTH],
     };
 
     /// The child in `lane`. Meaningful only where the lane's box is not empty.
     #[inline]
     pub fn child(&self, lane: usize) -> Child {
-        let (first, kind) = (self.first[lane], self.kind[lane]);
-        match kind {
-            KIND_NODE => Child::Node(first),
-            _ if kind & KIND_TRIANGLES != 0 => Child::Triangles { first, count: u32::from(kind & !KIND_TRIANGLES) },
-            _ => Child::Gaussians { first, count: u32::from(kind) },
+        match self.kind[lane] {
+            Kind::Node => Child::Node(self.index[lane]),
+            Kind::Gaussian => Child::Gaussian(self.index[lane]),
+            Kind::Triangle => Child::Triangle(self.index[lane]),
         }
     }
 
@@ -91,10 +84,10 @@ impl WideNode {
             self.min[axis][lane] = child_box.min[axis];
             self.max[axis][lane] = child_box.max[axis];
         }
-        (self.first[lane], self.kind[lane]) = match child {
-            Child::Node(index) => (index, KIND_NODE),
-            Child::Gaussians { first, count } => (first, count as u8),
-            Child::Triangles { first, count } => (first, count as u8 | KIND_TRIANGLES),
+        (self.index[lane], self.kind[lane]) = match child {
+            Child::Node(index) => (index, Kind::Node),
+            Child::Gaussian(index) => (index, Kind::Gaussian),
+            Child::Triangle(index) => (index, Kind::Triangle),
         };
     }
 }

@@ -5,27 +5,25 @@
 //! is blended. So the order is exact whatever the boxes look like, a ray ends as soon as its transmittance is below the
 //! cut-off, and memory is bounded by what the ray meets.
 //!
-//! Responses are formed in f64, eight Gaussians side by side: per-ray tracing is bound by the tree, not by arithmetic,
-//! and thin Gaussians (1e-5 m seen from 10 m) lose up to 0.2 standard deviations in f32.
+//! Responses are formed in f64: per-ray tracing is bound by the tree, not by arithmetic, and thin Gaussians (1e-5 m seen
+//! from 10 m) lose up to 0.2 standard deviations in f32.
+//
+// Tried: leaves of up to eight Gaussians, their responses side by side in f64 lanes. Fetching the lanes cost more than
+// it saved, and most of a leaf's members are missed by their own boxes.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-use glam::{DMat3, DVec3, Vec3};
+use glam::{DVec3, Vec3};
 
 use super::composite::Blender;
-use super::gaussian::Response;
-use super::{Radiance, Ray, SurfaceHit, Surfaces, Tile, TileTracer, TraceSettings, triangle};
+use super::{Radiance, Ray, SurfaceHit, Surfaces, Tile, TileTracer, TraceSettings, gaussian, triangle};
 use crate::bvh::{Bvh, Child, WIDTH, WideNode};
 use crate::job::{Order, ShDirection};
-use crate::scene::splats::ALPHA_MAX;
 use crate::scene::{Scene, sh};
 
 /// Slab distances in f32 carry a few roundings of relative size 6e-8 each; this covers them with room to spare.
 const SLAB_SLACK: f32 = 1e-6;
-
-/// No Gaussian responds beyond this squared Mahalanobis distance: 2 ln 255, rounded up.
-const MAX_SUPPORT: f64 = 11.083;
 
 /// Traces single rays through the tree.
 pub struct RayTracer<'a> {
@@ -39,11 +37,38 @@ pub struct RayTracer<'a> {
     pub settings: TraceSettings,
 }
 
-/// Queues that rays share one after another, so that a ray allocates nothing.
-#[derive(Default)]
+/// Queues that rays use one after another, so that a ray allocates nothing, and colours seen from the last origin.
 pub struct RayScratch {
     nodes: BinaryHeap<Reverse<u64>>,
     events: BinaryHeap<Reverse<Event>>,
+    origin: DVec3,
+    /// By index modulo [`COLOURS`]: which Gaussian, and its colour as seen from `origin`.
+    colours: Vec<(u32, Vec3)>,
+}
+
+/// Colours kept between rays: what a tile of rays sees of a captured room fits several times.
+const COLOURS: usize = 1 << 13;
+
+impl Default for RayScratch {
+    fn default() -> Self {
+        Self {
+            nodes: BinaryHeap::new(),
+            events: BinaryHeap::new(),
+            origin: DVec3::NAN,
+            colours: vec![(u32::MAX, Vec3::ZERO); COLOURS],
+        }
+    }
+}
+
+impl RayScratch {
+    fn begin(&mut self, origin: DVec3) {
+        self.nodes.clear();
+        self.events.clear();
+        if self.origin != origin {
+            self.origin = origin;
+            self.colours.fill((u32::MAX, Vec3::ZERO));
+        }
+    }
 }
 
 /// Something met and not yet blended. Ordered by key, ties by kind and index as the reference has it.
@@ -95,56 +120,48 @@ impl RayTracer<'_> {
     #[inline(always)]
     fn walk(&self, ray: &Ray, scratch: &mut RayScratch) -> Radiance {
         let slabs = Slabs::new(ray, self.settings.order);
-        let cutoff = f64::from(self.settings.t_cutoff);
         let mut blender = Blender::default();
         // Nothing with a larger key can be seen: the nearest surface that is surely opaque.
         let mut horizon = f64::INFINITY;
-        scratch.nodes.clear();
-        scratch.events.clear();
+        scratch.begin(ray.origin);
         if !self.bvh.nodes.is_empty() {
-            scratch.nodes.push(Reverse(queue_entry(0.0, 0, 0)));
+            scratch.nodes.push(Reverse(queue_entry(0.0, 0)));
         }
         while let Some(Reverse(entry)) = scratch.nodes.pop() {
-            let (bound, node, lane) = from_queue_entry(entry);
-            if !self.blend_below(f64::from(bound), ray, &mut blender, scratch, cutoff) || f64::from(bound) > horizon {
+            let (bound, index) = from_queue_entry(entry);
+            if f64::from(bound) > horizon || !self.blend_below(f64::from(bound), ray, &mut blender, scratch) {
                 break;
             }
-            let wide = &self.bvh.nodes[node as usize];
-            let node = match lane.checked_sub(1) {
-                None => node,
-                Some(lane) => match wide.child(lane as usize) {
-                    Child::Node(child) => child,
-                    Child::Gaussians { first, count } => {
-                        self.meet_gaussians(ray, first as usize, count as usize, scratch);
-                        continue;
-                    }
-                    Child::Triangles { first, count } => {
-                        horizon = self.meet_triangles(ray, first..first + count, horizon, scratch);
-                        continue;
-                    }
-                },
-            };
-            let (keys, hit) = slabs.meet(&self.bvh.nodes[node as usize]);
-            for lane in 0..WIDTH {
-                if hit[lane] {
-                    scratch.nodes.push(Reverse(queue_entry(keys[lane], node, lane as u32 + 1)));
+            let node = &self.bvh.nodes[index as usize];
+            let (keys, mut hits) = slabs.meet(node);
+            while hits != 0 {
+                let lane = hits.trailing_zeros() as usize;
+                hits &= hits - 1;
+                match node.child(lane) {
+                    Child::Node(child) => scratch.nodes.push(Reverse(queue_entry(keys[lane], child))),
+                    Child::Gaussian(index) => self.meet_gaussian(ray, index, scratch),
+                    Child::Triangle(index) => horizon = self.meet_triangle(ray, index, horizon, scratch),
                 }
             }
         }
-        self.blend_below(f64::INFINITY, ray, &mut blender, scratch, cutoff);
+        self.blend_below(f64::INFINITY, ray, &mut blender, scratch);
         blender.finish()
     }
 
     /// Blends all events with keys below `bound`; false once the ray's transmittance is below the cut-off.
     #[inline(always)]
-    fn blend_below(&self, bound: f64, ray: &Ray, blender: &mut Blender, scratch: &mut RayScratch, cutoff: f64) -> bool {
+    fn blend_below(&self, bound: f64, ray: &Ray, blender: &mut Blender, scratch: &mut RayScratch) -> bool {
+        let cutoff = f64::from(self.settings.t_cutoff);
         while let Some(Reverse(event)) = scratch.events.peek().copied() {
             if event.key >= bound {
                 break;
             }
             scratch.events.pop();
             match event.what {
-                Met::Gaussian { index, alpha } => blender.splat(alpha, self.colour(index, ray), event.distance),
+                Met::Gaussian { index, alpha } => {
+                    let colour = self.colour(index, ray, scratch);
+                    blender.splat(alpha, colour, event.distance);
+                }
                 Met::Surface(hit) => blender.surface(self.surfaces.fragment(ray, &hit), event.distance),
             }
             if blender.transmittance < cutoff || blender.transmittance <= 0.0 {
@@ -156,59 +173,51 @@ impl RayTracer<'_> {
     }
 
     #[inline(always)]
-    fn meet_gaussians(&self, ray: &Ray, first: usize, count: usize, scratch: &mut RayScratch) {
+    fn meet_gaussian(&self, ray: &Ray, index: u32, scratch: &mut RayScratch) {
         let splats = &self.scene.splats;
-        let met = responses(&splats.means[first..first + count], &splats.unit_from_world[first..first + count], ray);
-        for k in 0..count {
-            if !(met.m2[k] < MAX_SUPPORT) {
-                continue;
-            }
-            let opacity = f64::from(splats.opacities[first + k]);
-            let response =
-                Response { distance: met.distance[k], alpha: (opacity * (-0.5 * met.m2[k]).exp()).min(ALPHA_MAX) };
-            if response.contributes(f64::from(self.settings.t_near)) {
-                let key = match self.settings.order {
-                    Order::RayHitDistance => response.distance,
-                    Order::CameraDistance => (splats.means[first + k].as_dvec3() - ray.origin).length(),
-                };
-                let what = Met::Gaussian { index: (first + k) as u32, alpha: response.alpha };
-                scratch.events.push(Reverse(Event { key, distance: response.distance, what }));
-            }
+        let i = index as usize;
+        let mean_from_origin = splats.means[i].as_dvec3() - ray.origin;
+        let (unit_from_world, opacity) = (splats.unit_from_world[i].as_dmat3(), f64::from(splats.opacities[i]));
+        let met = gaussian::response(&unit_from_world, opacity, mean_from_origin, ray.direction);
+        if met.contributes(f64::from(self.settings.t_near)) {
+            let key = match self.settings.order {
+                Order::RayHitDistance => met.distance,
+                Order::CameraDistance => mean_from_origin.length(),
+            };
+            let what = Met::Gaussian { index, alpha: met.alpha };
+            scratch.events.push(Reverse(Event { key, distance: met.distance, what }));
         }
     }
 
-    fn meet_triangles(
-        &self,
-        ray: &Ray,
-        triangles: std::ops::Range<u32>,
-        mut horizon: f64,
-        scratch: &mut RayScratch,
-    ) -> f64 {
-        for index in triangles {
-            let corners = self.scene.meshes.corners(index as usize).map(|corner| corner.as_dvec3() - ray.origin);
-            let Some(met) = triangle::intersect(corners, ray.direction) else { continue };
-            let seen = met.front || self.surfaces.is_double_sided(index);
-            if !seen || met.distance <= f64::from(self.settings.t_near) || met.distance > horizon {
-                continue;
-            }
-            if self.surfaces.is_opaque(index) {
-                horizon = met.distance;
-            }
-            let distance = met.distance;
-            let hit = SurfaceHit { triangle: index, barycentric: met.barycentric, front: met.front, distance };
-            scratch.events.push(Reverse(Event { key: distance, distance, what: Met::Surface(hit) }));
+    /// Returns the horizon, nearer if the triangle is opaque.
+    fn meet_triangle(&self, ray: &Ray, index: u32, horizon: f64, scratch: &mut RayScratch) -> f64 {
+        let corners = self.scene.meshes.corners(index as usize).map(|corner| corner.as_dvec3() - ray.origin);
+        let Some(met) = triangle::intersect(corners, ray.direction) else { return horizon };
+        let seen = met.front || self.surfaces.is_double_sided(index);
+        let distance = met.distance;
+        if !seen || distance <= f64::from(self.settings.t_near) || distance > horizon {
+            return horizon;
         }
-        horizon
+        let hit = SurfaceHit { triangle: index, barycentric: met.barycentric, front: met.front, distance };
+        scratch.events.push(Reverse(Event { key: distance, distance, what: Met::Surface(hit) }));
+        if self.surfaces.is_opaque(index) { distance } else { horizon }
     }
 
+    /// The Gaussian's colour along the ray. Rays of one probe ask for the same ones again and again.
     #[inline(always)]
-    fn colour(&self, index: u32, ray: &Ray) -> DVec3 {
+    fn colour(&self, index: u32, ray: &Ray, scratch: &mut RayScratch) -> DVec3 {
         let splats = &self.scene.splats;
-        let direction = match self.settings.sh_direction {
-            ShDirection::Mean => (splats.means[index as usize].as_dvec3() - ray.origin).normalize(),
-            ShDirection::Ray => ray.direction,
-        };
-        sh::evaluate(splats.sh_degree, splats.sh_of(index as usize), direction.as_vec3()).as_dvec3()
+        let evaluate =
+            |direction: DVec3| sh::evaluate(splats.sh_degree, splats.sh_of(index as usize), direction.as_vec3());
+        if self.settings.sh_direction == ShDirection::Ray {
+            return evaluate(ray.direction).as_dvec3();
+        }
+        let cached = &mut scratch.colours[index as usize % COLOURS];
+        if cached.0 != index {
+            let direction = (splats.means[index as usize].as_dvec3() - ray.origin).normalize();
+            *cached = (index, evaluate(direction));
+        }
+        cached.1.as_dvec3()
     }
 }
 
@@ -237,15 +246,13 @@ impl pulp::WithSimd for TraceRay<'_, '_> {
     }
 }
 
-/// A queue entry: key, node, and which lane of it (0: the node itself, as only the root is queued). Keys are not
-/// negative, so their bit patterns order as they do.
-fn queue_entry(key: f32, node: u32, lane: u32) -> u64 {
-    // 28 bits of node index: 2^28 nodes hold at least 2^29 primitives, more than fit in memory.
-    u64::from(key.to_bits()) << 32 | u64::from(node) << 4 | u64::from(lane)
+/// A queue entry: key above, node below. Keys are not negative, so their bit patterns order as they do.
+fn queue_entry(key: f32, node: u32) -> u64 {
+    u64::from(key.to_bits()) << 32 | u64::from(node)
 }
 
-fn from_queue_entry(entry: u64) -> (f32, u32, u32) {
-    (f32::from_bits((entry >> 32) as u32), (entry as u32) >> 4, (entry & 15) as u32)
+fn from_queue_entry(entry: u64) -> (f32, u32) {
+    (f32::from_bits((entry >> 32) as u32), entry as u32)
 }
 
 /// A ray prepared for testing boxes: eight at a time, in f32, conservatively.
@@ -272,9 +279,9 @@ impl Slabs {
         }
     }
 
-    /// For each child: a lower bound on the sort keys inside, and whether the ray meets its box.
+    /// For each child: a lower bound on the sort keys inside, and, as a bit, whether the ray meets its box.
     #[inline(always)]
-    fn meet(&self, node: &WideNode) -> ([f32; WIDTH], [bool; WIDTH]) {
+    fn meet(&self, node: &WideNode) -> ([f32; WIDTH], u32) {
         let mut enter = [0.0f32; WIDTH];
         let mut exit = [f32::INFINITY; WIDTH];
         for axis in 0..3 {
@@ -287,16 +294,17 @@ impl Slabs {
                 exit[k] = if far < exit[k] { far } else { exit[k] };
             }
         }
-        let mut hit = [false; WIDTH];
+        let mut hits = 0;
         for k in 0..WIDTH {
             // An absent child's box runs from +inf to -inf: its slabs are inverted along every axis.
             let present = node.min[0][k] <= node.max[0][k];
-            hit[k] = present && enter[k] * (1.0 - SLAB_SLACK) <= exit[k] * (1.0 + SLAB_SLACK);
+            let hit = present & (enter[k] * (1.0 - SLAB_SLACK) <= exit[k] * (1.0 + SLAB_SLACK));
+            hits |= u32::from(hit) << k;
             enter[k] *= 1.0 - SLAB_SLACK;
         }
         match self.order {
-            Order::RayHitDistance => (enter, hit),
-            Order::CameraDistance => (self.distances(node), hit),
+            Order::RayHitDistance => (enter, hits),
+            Order::CameraDistance => (self.distances(node), hits),
         }
     }
 
@@ -312,32 +320,4 @@ impl Slabs {
         }
         squared.map(|s| s.sqrt() * (1.0 - SLAB_SLACK))
     }
-}
-
-/// What up to eight Gaussians do along one ray, before their opacities.
-struct Responses {
-    distance: [f64; WIDTH],
-    m2: [f64; WIDTH],
-}
-
-/// [`super::gaussian::response`] for up to eight Gaussians side by side: the same operations in the same order.
-#[inline(always)]
-fn responses(means: &[Vec3], unit_from_world: &[glam::Mat3], ray: &Ray) -> Responses {
-    let mut lanes = [[0.0f64; WIDTH]; 12];
-    for (k, (mean, m)) in means.iter().zip(unit_from_world).enumerate().take(WIDTH) {
-        for (lane, value) in lanes.iter_mut().zip(mean.to_array().into_iter().chain(m.to_cols_array())) {
-            lane[k] = f64::from(value);
-        }
-    }
-    let [mean_x, mean_y, mean_z, m @ ..] = lanes;
-    let mut met = Responses { distance: [0.0; WIDTH], m2: [0.0; WIDTH] };
-    for k in 0..WIDTH {
-        let unit = DMat3::from_cols_array(&m.map(|column| column[k]));
-        let g = -(unit * (DVec3::new(mean_x[k], mean_y[k], mean_z[k]) - ray.origin));
-        let v = unit * ray.direction;
-        let v_squared = v.length_squared();
-        met.m2[k] = g.cross(v).length_squared() / v_squared;
-        met.distance[k] = -g.dot(v) / v_squared;
-    }
-    met
 }

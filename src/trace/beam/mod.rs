@@ -65,12 +65,7 @@ struct Walk<'a> {
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Queued {
     Node(u32),
-    /// A leaf: node times [`WIDTH`] plus lane.
-    Leaf(u32),
-    Candidate {
-        index: u32,
-        slot: u32,
-    },
+    Candidate { index: u32, slot: u32 },
 }
 
 impl TileTracer for BeamTracer<'_> {
@@ -151,7 +146,6 @@ impl<'a> Walk<'a> {
             let Some(Reverse((_, queued))) = self.queue.pop() else { return f32::INFINITY };
             match queued {
                 Queued::Node(node) => self.open(node),
-                Queued::Leaf(leaf) => self.open_leaf(leaf),
                 Queued::Candidate { slot, .. } => {
                     self.free.push(slot);
                     let candidate = &self.waiting[slot as usize];
@@ -171,35 +165,24 @@ impl<'a> Walk<'a> {
     }
 
     fn open(&mut self, node: u32) {
-        let wide = &self.tracer.bvh.nodes[node as usize];
+        let (scene, wide) = (self.tracer.scene, &self.tracer.bvh.nodes[node as usize]);
         let seen = self.frustum.meet(wide);
         for lane in 0..WIDTH {
             if seen.cells[lane] & self.live != 0 {
-                let queued = match wide.child(lane) {
-                    Child::Node(child) => Queued::Node(child),
-                    _ => Queued::Leaf(node * WIDTH as u32 + lane as u32),
-                };
-                self.queue.push(Reverse((seen.keys[lane].to_bits(), queued)));
-            }
-        }
-    }
-
-    fn open_leaf(&mut self, leaf: u32) {
-        let wide = &self.tracer.bvh.nodes[leaf as usize / WIDTH];
-        match wide.child(leaf as usize % WIDTH) {
-            Child::Gaussians { first, count } => {
-                for index in first..first + count {
-                    let projected = self.projection.gaussian(&self.tracer.scene.splats, index);
-                    self.wait(projected);
+                match wide.child(lane) {
+                    Child::Node(child) => {
+                        self.queue.push(Reverse((seen.keys[lane].to_bits(), Queued::Node(child))));
+                    }
+                    Child::Gaussian(index) => {
+                        let projected = self.projection.gaussian(&scene.splats, index);
+                        self.wait(projected);
+                    }
+                    Child::Triangle(index) => {
+                        let projected = self.projection.triangle(&scene.meshes, index);
+                        self.wait(projected);
+                    }
                 }
             }
-            Child::Triangles { first, count } => {
-                for index in first..first + count {
-                    let projected = self.projection.triangle(&self.tracer.scene.meshes, index);
-                    self.wait(projected);
-                }
-            }
-            Child::Node(_) => {}
         }
     }
 
