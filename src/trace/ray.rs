@@ -40,7 +40,8 @@ pub struct RayTracer<'a> {
 /// Queues that rays use one after another, so that a ray allocates nothing, and colours seen from the last origin.
 pub struct RayScratch {
     nodes: BinaryHeap<Reverse<u64>>,
-    events: BinaryHeap<Reverse<Event>>,
+    met: Vec<Met>,
+    unblended: BinaryHeap<Reverse<EventEntry>>,
     origin: DVec3,
     /// By index modulo [`COLOURS`]: which Gaussian, and its colour as seen from `origin`.
     colours: Vec<(u32, Vec3)>,
@@ -53,7 +54,8 @@ impl Default for RayScratch {
     fn default() -> Self {
         Self {
             nodes: BinaryHeap::new(),
-            events: BinaryHeap::new(),
+            met: Vec::new(),
+            unblended: BinaryHeap::new(),
             origin: DVec3::NAN,
             colours: vec![(u32::MAX, Vec3::ZERO); COLOURS],
         }
@@ -63,53 +65,34 @@ impl Default for RayScratch {
 impl RayScratch {
     fn begin(&mut self, origin: DVec3) {
         self.nodes.clear();
-        self.events.clear();
+        self.met.clear();
+        self.unblended.clear();
         if self.origin != origin {
             self.origin = origin;
             self.colours.fill((u32::MAX, Vec3::ZERO));
         }
     }
+
+    #[inline(always)]
+    fn meet(&mut self, key: f64, rank: u32, met: Met) {
+        self.unblended.push(Reverse((key.to_bits(), rank, self.met.len() as u32)));
+        self.met.push(met);
+    }
 }
 
-/// Something met and not yet blended. Ordered by key, ties by kind and index as the reference has it.
-#[derive(Clone, Copy)]
-struct Event {
-    key: f64,
-    distance: f64,
-    what: Met,
-}
-
+/// Something met along a ray.
 #[derive(Clone, Copy)]
 enum Met {
-    Gaussian { index: u32, alpha: f64 },
+    Gaussian { index: u32, alpha: f64, distance: f64 },
     Surface(SurfaceHit),
 }
 
-impl Event {
-    fn rank(&self) -> (u8, u32) {
-        match self.what {
-            Met::Gaussian { index, .. } => (0, index),
-            Met::Surface(hit) => (1, hit.triangle),
-        }
-    }
-}
+/// A key's bits, a rank for equal keys (Gaussians before triangles, lower indices first, as the reference has it), and
+/// which of the ray's events it is. Keys are not negative, so their bit patterns order as they do.
+type EventEntry = (u64, u32, u32);
 
-impl PartialEq for Event {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other).is_eq()
-    }
-}
-impl Eq for Event {}
-impl PartialOrd for Event {
-    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-impl Ord for Event {
-    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        self.key.total_cmp(&other.key).then_with(|| self.rank().cmp(&other.rank()))
-    }
-}
+/// Ranks of triangles start here; scenes of 2^31 primitives do not fit in memory.
+const TRIANGLE_RANK: u32 = 1 << 31;
 
 impl RayTracer<'_> {
     /// Everything along one ray until its transmittance falls below the cut-off.
@@ -152,20 +135,20 @@ impl RayTracer<'_> {
     #[inline(always)]
     fn blend_below(&self, bound: f64, ray: &Ray, blender: &mut Blender, scratch: &mut RayScratch) -> bool {
         let cutoff = f64::from(self.settings.t_cutoff);
-        while let Some(Reverse(event)) = scratch.events.peek().copied() {
-            if event.key >= bound {
+        while let Some(Reverse((key, _, event))) = scratch.unblended.peek().copied() {
+            if f64::from_bits(key) >= bound {
                 break;
             }
-            scratch.events.pop();
-            match event.what {
-                Met::Gaussian { index, alpha } => {
+            scratch.unblended.pop();
+            match scratch.met[event as usize] {
+                Met::Gaussian { index, alpha, distance } => {
                     let colour = self.colour(index, ray, scratch);
-                    blender.splat(alpha, colour, event.distance);
+                    blender.splat(alpha, colour, distance);
                 }
-                Met::Surface(hit) => blender.surface(self.surfaces.fragment(ray, &hit), event.distance),
+                Met::Surface(hit) => blender.surface(self.surfaces.fragment(ray, &hit), hit.distance),
             }
             if blender.transmittance < cutoff || blender.transmittance <= 0.0 {
-                scratch.events.clear();
+                scratch.unblended.clear();
                 return false;
             }
         }
@@ -184,8 +167,7 @@ impl RayTracer<'_> {
                 Order::RayHitDistance => met.distance,
                 Order::CameraDistance => mean_from_origin.length(),
             };
-            let what = Met::Gaussian { index, alpha: met.alpha };
-            scratch.events.push(Reverse(Event { key, distance: met.distance, what }));
+            scratch.meet(key, index, Met::Gaussian { index, alpha: met.alpha, distance: met.distance });
         }
     }
 
@@ -199,7 +181,7 @@ impl RayTracer<'_> {
             return horizon;
         }
         let hit = SurfaceHit { triangle: index, barycentric: met.barycentric, front: met.front, distance };
-        scratch.events.push(Reverse(Event { key: distance, distance, what: Met::Surface(hit) }));
+        scratch.meet(distance, TRIANGLE_RANK | index, Met::Surface(hit));
         if self.surfaces.is_opaque(index) { distance } else { horizon }
     }
 
