@@ -26,14 +26,14 @@ fn assert_valid(scene: &Scene, bvh: &Bvh) {
                 Child::Node(child) => pending.push((child, lane_box)),
                 Child::Gaussians { first, count } => {
                     assert!((1..=WIDTH as u32).contains(&count));
-                    for i in first as usize..(first + count) as usize {
-                        gaussians[i] += 1;
+                    for (i, times) in gaussians.iter_mut().enumerate().skip(first as usize).take(count as usize) {
+                        *times += 1;
                         assert!(contains(&lane_box, &gaussian_box(&scene.splats, i)), "Gaussian {i} leaves its leaf");
                     }
                 }
                 Child::Triangles { first, count } => {
-                    for i in first as usize..(first + count) as usize {
-                        triangles[i] += 1;
+                    for (i, times) in triangles.iter_mut().enumerate().skip(first as usize).take(count as usize) {
+                        *times += 1;
                         for corner in scene.meshes.corners(i).into_iter().filter(|corner| corner.is_finite()) {
                             assert!(corner.cmpge(lane_box.min).all() && corner.cmple(lane_box.max).all());
                         }

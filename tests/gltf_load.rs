@@ -67,7 +67,7 @@ fn a_textured_square_shows_its_texels_where_they_are_in_the_image() {
     }
     assert_eq!((report.triangles, report.materials, report.textures, report.nodes), (2, 1, 1, 1));
     let bounds = report.bounds.unwrap();
-    assert_eq!((bounds.min, bounds.max), ([0.0; 3], [1.0, 1.0, 0.0]));
+    assert_eq!((bounds.min, bounds.max), (DVec3::ZERO, DVec3::new(1.0, 1.0, 0.0)));
 }
 
 #[test]
@@ -203,7 +203,7 @@ fn positions_are_relative_to_the_scenes_origin_and_bounds_are_not() {
     let mut meshes = Meshes::default();
     let report = load(&input, DVec3::new(1.0e7, 0.0, 0.0), &mut meshes).unwrap();
     assert_eq!(meshes.positions[0], Vec3::new(0.0, 0.5, 0.0));
-    assert_eq!(report.bounds.unwrap().max, [1.0e7 + 1.0, 1.5, 0.0]);
+    assert_eq!(report.bounds.unwrap().max, DVec3::new(1.0e7 + 1.0, 1.5, 0.0));
 }
 
 #[test]
@@ -272,7 +272,7 @@ fn quantised_positions_are_read_as_the_numbers_they_are() {
     file.json["extensionsUsed"] = json!(["KHR_mesh_quantization"]);
     file.json["extensionsRequired"] = json!(["KHR_mesh_quantization"]);
     let bounds = file.load().unwrap().1.bounds.unwrap();
-    assert_eq!((bounds.min, bounds.max), ([0.0, -0.5, 0.0], [1.0, 0.0, 0.0]));
+    assert_eq!((bounds.min, bounds.max), (DVec3::new(0.0, -0.5, 0.0), DVec3::X));
 }
 
 #[test]

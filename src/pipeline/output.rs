@@ -11,8 +11,8 @@ use crate::job::{Job, Pixel};
 use crate::manifest::{
     self, FileFormat, FileRecord, FileRole, Influence, Layout, Manifest, ProbeRecord, TexelSampling,
 };
-use crate::place::{self, Probe};
-use crate::scene::bounds;
+use crate::place::Probe;
+use crate::scene::Bounds;
 use crate::{Error, Result};
 
 /// Name of the contact sheet of all probes in the output folder.
@@ -142,12 +142,12 @@ fn radiance_record(path: &Path, probe: &Probe, cubemap: &Cubemap, pixel: Pixel) 
 }
 
 fn probe_record(probe: &Probe, files: Vec<FileRecord>, statistics: ProbeStatistics) -> ProbeRecord {
-    let place::Bounds { min, max } = probe.influence;
+    let Bounds { min, max } = probe.influence;
     ProbeRecord {
         id: probe.id.clone(),
         position: probe.position.into(),
         influence: Influence { min: min.into(), max: max.into(), blend: probe.blend },
-        proxy: bounds::Bounds { min, max },
+        proxy: probe.influence,
         priority: 0,
         files,
         statistics,
