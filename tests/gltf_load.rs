@@ -3,8 +3,8 @@
 mod gltf_support;
 
 use glam::{DVec3, Vec2, Vec3, Vec4};
-use gltf_support::{File, input, load_file, png};
-use serde_json::{Value, json};
+use gltf_support::{File, input, load_file, textured_square};
+use serde_json::json;
 use splatprobe::Error;
 use splatprobe::ingest::gltf::load;
 use splatprobe::job::Transform;
@@ -38,19 +38,6 @@ fn seen_at(meshes: &Meshes, x: f32, y: f32) -> splatprobe::trace::Fragment {
 fn geometric_normal(meshes: &Meshes, triangle: usize) -> Vec3 {
     let [a, b, c] = meshes.corners(triangle);
     (b - a).cross(c - a).normalize()
-}
-
-/// The square with a 2 x 2 texture: top row red, green; bottom row blue, white; nearest, with this texture info.
-fn textured_square(info: Value, sampler: Value) -> File {
-    let mut file = File::square();
-    let pixels = [[255, 0, 0, 255], [0, 255, 0, 128], [0, 0, 255, 64], [255, 255, 255, 0]];
-    let view = file.view(&png(2, 2, &pixels));
-    file.json["images"] = json!([{"bufferView": view, "mimeType": "image/png"}]);
-    file.json["samplers"] = json!([sampler]);
-    file.json["textures"] = json!([{"source": 0, "sampler": 0}]);
-    file.push("materials", json!({"pbrMetallicRoughness": {"baseColorTexture": info}}));
-    file.json["meshes"][0]["primitives"][0]["material"] = json!(0);
-    file
 }
 
 const RED: LinearRgb = LinearRgb(Vec3::X);
