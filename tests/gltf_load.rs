@@ -7,7 +7,8 @@ use gltf_support::{File, input, load_file, textured_square};
 use serde_json::json;
 use splatprobe::Error;
 use splatprobe::ingest::gltf::load;
-use splatprobe::job::Transform;
+use splatprobe::ingest::load_scene;
+use splatprobe::job::{MeshInput, Transform};
 use splatprobe::scene::mesh::{AlphaMode, Wrap};
 use splatprobe::scene::{LinearRgb, Meshes};
 use splatprobe::shade::UnlitSurfaces;
@@ -191,6 +192,28 @@ fn positions_are_relative_to_the_scenes_origin_and_bounds_are_not() {
     let report = load(&input, DVec3::new(1.0e7, 0.0, 0.0), &mut meshes).unwrap();
     assert_eq!(meshes.positions[0], Vec3::new(0.0, 0.5, 0.0));
     assert_eq!(report.bounds.unwrap().max, DVec3::new(1.0e7 + 1.0, 1.5, 0.0));
+}
+
+#[test]
+fn a_scene_of_meshes_far_from_zero_has_an_origin_near_it_wherever_its_distance_comes_from() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("square.glb");
+    let mut far_node = File::square();
+    far_node.json["nodes"][0]["translation"] = json!([4.0e6, 0.0, 0.0]);
+    let far_input =
+        |translation| MeshInput { transform: Transform { translation, ..Transform::default() }, ..input(&path) };
+    for (file, input, first_corner) in [
+        (File::square(), far_input([1.0e7, 0.25, -3.0e6]), DVec3::new(1.0e7, 0.25, -3.0e6)),
+        (far_node, far_input([0.0; 3]), DVec3::new(4.0e6, 0.0, 0.0)),
+        (File::square(), far_input([9.0, 0.0, 0.0]), DVec3::new(9.0, 0.0, 0.0)),
+    ] {
+        std::fs::write(&path, file.glb()).unwrap();
+        let (scene, report) = load_scene(&[], &[input]).unwrap();
+        assert_eq!(scene.origin == DVec3::ZERO, first_corner.x < 10.0, "{}", scene.origin);
+        assert_eq!(scene.origin + scene.meshes.positions[0].as_dvec3(), first_corner);
+        assert!(scene.meshes.positions.iter().all(|position| position.length() < 12.0));
+        assert_eq!(report.meshes[0].bounds.unwrap().min, first_corner);
+    }
 }
 
 #[test]

@@ -89,12 +89,13 @@ impl Output {
         let staging = self.staging.path();
         write_png(&staging.join(PREVIEW_FILE), written.preview.image())?;
         let manifest = manifest(written.records.into_iter().flatten().collect());
-        for file in probe_files(&manifest).chain([PREVIEW_FILE.into()]) {
-            rename(&staging.join(&file), &self.folder.join(&file))?;
-        }
+        // Before anything is moved: a full disk shows here.
+        manifest.write(&staging.join(manifest::FILE_NAME))?;
         let path = self.folder.join(manifest::FILE_NAME);
         let earlier = Manifest::read(&path).ok();
-        manifest.write(&path)?;
+        for file in probe_files(&manifest).chain([PREVIEW_FILE.into(), manifest::FILE_NAME.into()]) {
+            rename(&staging.join(&file), &self.folder.join(&file))?;
+        }
         if let Some(earlier) = earlier {
             remove_outdated(&self.folder, &earlier, &manifest);
         }
