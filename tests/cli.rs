@@ -62,7 +62,8 @@ fn a_bake_is_the_files_that_its_manifest_lists_and_verifies() {
     let manifest = data(folder.path(), &format!("{BAKE} -o out --distance --stats stats.json"));
     assert_eq!(Path::new(manifest.trim_end()), Path::new("out/manifest.json"));
     let names: Vec<String> = contents(&folder.path().join("out")).into_iter().map(|(name, _)| name).collect();
-    assert_eq!(names, ["manifest.json", "preview.png", "probe_000/radiance.exr", "probe_001/radiance.exr"]);
+    let probes = ["probe_000/preview.png", "probe_000/radiance.exr", "probe_001/preview.png", "probe_001/radiance.exr"];
+    assert_eq!(names, [&["manifest.json", "preview.png"], &probes[..]].concat());
     assert_eq!(data(folder.path(), "verify out"), "");
 
     let manifest = std::fs::read_to_string(folder.path().join("out/manifest.json")).unwrap();
@@ -101,13 +102,36 @@ fn output_is_the_same_for_any_threads_folder_and_way_to_say_it() {
 }
 
 #[test]
-fn the_ray_tracer_agrees_with_the_reference() {
+fn the_tracers_agree_with_the_reference() {
     let folder = scene();
-    data(folder.path(), &format!("{BAKE} -o ray --pixel float --t-cutoff 0"));
     data(folder.path(), &format!("{BAKE} -o reference --pixel float --tracer reference"));
-    let compared: Value = serde_json::from_str(&data(folder.path(), "compare reference ray")).unwrap();
-    let error = compared["overall"]["linear"]["maxAbs"].as_f64().unwrap();
-    assert!(error < 1e-4, "{error}");
+    for tracer in ["ray", "beam"] {
+        data(folder.path(), &format!("{BAKE} -o {tracer} --pixel float --t-cutoff 0 --tracer {tracer}"));
+        let compared = data(folder.path(), &format!("compare reference {tracer}"));
+        let compared: Value = serde_json::from_str(&compared).unwrap();
+        let error = compared["overall"]["linear"]["maxAbs"].as_f64().unwrap();
+        assert!(error < 1e-4, "{tracer}: {error}");
+    }
+}
+
+#[test]
+fn without_bounds_a_grid_stands_where_most_of_the_scene_is() {
+    let folder = tempfile::tempdir().unwrap();
+    // The demo's rooms are 10 x 2.7 x 4.2 m, with Gaussians far outside of them.
+    std::fs::copy(
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/demo/demo.ply"),
+        folder.path().join("demo.ply"),
+    )
+    .unwrap();
+    data(folder.path(), "bake --splats demo.ply --grid 2,1,1 --face-size 2 -o out");
+    let manifest = std::fs::read(folder.path().join("out/manifest.json")).unwrap();
+    let manifest: Value = serde_json::from_slice(&manifest).unwrap();
+    for (probe, expected) in [(0, [2.5, 1.35, 2.1]), (1, [7.5, 1.35, 2.1])] {
+        for (axis, expected) in expected.into_iter().enumerate() {
+            let at = manifest["probes"][probe]["position"][axis].as_f64().unwrap();
+            assert!((at - expected).abs() < 0.2, "probe {probe}, axis {axis}: {at}");
+        }
+    }
 }
 
 #[test]
@@ -142,7 +166,8 @@ fn a_smaller_bake_removes_the_probes_of_an_earlier_one_and_nothing_else() {
     std::fs::write(folder.path().join("out/mine.txt"), "").unwrap();
     data(folder.path(), "bake --splats one.ply --probe 0,0,0 --face-size 8 -o out");
     let names: Vec<String> = contents(&folder.path().join("out")).into_iter().map(|(name, _)| name).collect();
-    assert_eq!(names, ["manifest.json", "mine.txt", "preview.png", "probe_000/radiance.exr"]);
+    let probe = ["probe_000/preview.png", "probe_000/radiance.exr"];
+    assert_eq!(names, [&["manifest.json", "mine.txt", "preview.png"], &probe[..]].concat());
     assert!(!folder.path().join("out/probe_001").exists());
 }
 

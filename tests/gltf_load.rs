@@ -3,11 +3,12 @@
 mod gltf_support;
 
 use glam::{DVec3, Vec2, Vec3, Vec4};
-use gltf_support::{File, input, load_file, png};
-use serde_json::{Value, json};
+use gltf_support::{File, input, load_file, textured_square};
+use serde_json::json;
 use splatprobe::Error;
 use splatprobe::ingest::gltf::load;
-use splatprobe::job::Transform;
+use splatprobe::ingest::load_scene;
+use splatprobe::job::{MeshInput, Transform};
 use splatprobe::scene::mesh::{AlphaMode, Wrap};
 use splatprobe::scene::{LinearRgb, Meshes};
 use splatprobe::shade::UnlitSurfaces;
@@ -40,19 +41,6 @@ fn geometric_normal(meshes: &Meshes, triangle: usize) -> Vec3 {
     (b - a).cross(c - a).normalize()
 }
 
-/// The square with a 2 x 2 texture: top row red, green; bottom row blue, white; nearest, with this texture info.
-fn textured_square(info: Value, sampler: Value) -> File {
-    let mut file = File::square();
-    let pixels = [[255, 0, 0, 255], [0, 255, 0, 128], [0, 0, 255, 64], [255, 255, 255, 0]];
-    let view = file.view(&png(2, 2, &pixels));
-    file.json["images"] = json!([{"bufferView": view, "mimeType": "image/png"}]);
-    file.json["samplers"] = json!([sampler]);
-    file.json["textures"] = json!([{"source": 0, "sampler": 0}]);
-    file.push("materials", json!({"pbrMetallicRoughness": {"baseColorTexture": info}}));
-    file.json["meshes"][0]["primitives"][0]["material"] = json!(0);
-    file
-}
-
 const RED: LinearRgb = LinearRgb(Vec3::X);
 const GREEN: LinearRgb = LinearRgb(Vec3::Y);
 const BLUE: LinearRgb = LinearRgb(Vec3::Z);
@@ -67,7 +55,7 @@ fn a_textured_square_shows_its_texels_where_they_are_in_the_image() {
     }
     assert_eq!((report.triangles, report.materials, report.textures, report.nodes), (2, 1, 1, 1));
     let bounds = report.bounds.unwrap();
-    assert_eq!((bounds.min, bounds.max), ([0.0; 3], [1.0, 1.0, 0.0]));
+    assert_eq!((bounds.min, bounds.max), (DVec3::ZERO, DVec3::new(1.0, 1.0, 0.0)));
 }
 
 #[test]
@@ -203,7 +191,29 @@ fn positions_are_relative_to_the_scenes_origin_and_bounds_are_not() {
     let mut meshes = Meshes::default();
     let report = load(&input, DVec3::new(1.0e7, 0.0, 0.0), &mut meshes).unwrap();
     assert_eq!(meshes.positions[0], Vec3::new(0.0, 0.5, 0.0));
-    assert_eq!(report.bounds.unwrap().max, [1.0e7 + 1.0, 1.5, 0.0]);
+    assert_eq!(report.bounds.unwrap().max, DVec3::new(1.0e7 + 1.0, 1.5, 0.0));
+}
+
+#[test]
+fn a_scene_of_meshes_far_from_zero_has_an_origin_near_it_wherever_its_distance_comes_from() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("square.glb");
+    let mut far_node = File::square();
+    far_node.json["nodes"][0]["translation"] = json!([4.0e6, 0.0, 0.0]);
+    let far_input =
+        |translation| MeshInput { transform: Transform { translation, ..Transform::default() }, ..input(&path) };
+    for (file, input, first_corner) in [
+        (File::square(), far_input([1.0e7, 0.25, -3.0e6]), DVec3::new(1.0e7, 0.25, -3.0e6)),
+        (far_node, far_input([0.0; 3]), DVec3::new(4.0e6, 0.0, 0.0)),
+        (File::square(), far_input([9.0, 0.0, 0.0]), DVec3::new(9.0, 0.0, 0.0)),
+    ] {
+        std::fs::write(&path, file.glb()).unwrap();
+        let (scene, report) = load_scene(&[], &[input]).unwrap();
+        assert_eq!(scene.origin == DVec3::ZERO, first_corner.x < 10.0, "{}", scene.origin);
+        assert_eq!(scene.origin + scene.meshes.positions[0].as_dvec3(), first_corner);
+        assert!(scene.meshes.positions.iter().all(|position| position.length() < 12.0));
+        assert_eq!(report.meshes[0].bounds.unwrap().min, first_corner);
+    }
 }
 
 #[test]
@@ -272,7 +282,7 @@ fn quantised_positions_are_read_as_the_numbers_they_are() {
     file.json["extensionsUsed"] = json!(["KHR_mesh_quantization"]);
     file.json["extensionsRequired"] = json!(["KHR_mesh_quantization"]);
     let bounds = file.load().unwrap().1.bounds.unwrap();
-    assert_eq!((bounds.min, bounds.max), ([0.0, -0.5, 0.0], [1.0, 0.0, 0.0]));
+    assert_eq!((bounds.min, bounds.max), (DVec3::new(0.0, -0.5, 0.0), DVec3::X));
 }
 
 #[test]

@@ -2,16 +2,14 @@
 
 mod common;
 
-use common::{NoSurfaces, PatternedSurfaces, Random, add_random_triangles, cloud};
+use common::{NoSurfaces, PatternedSurfaces, Random, add_random_triangles, cloud, hangs_on_rounding};
 use glam::{DVec3, Vec3};
 use splatprobe::bvh::Bvh;
 use splatprobe::job::{Order, ShDirection};
-use splatprobe::scene::splats::ALPHA_MIN;
 use splatprobe::scene::{Scene, colour};
 use splatprobe::trace::ray::RayScratch;
 use splatprobe::trace::{
     BeamTracer, Face, Level, Radiance, Ray, RayTracer, ReferenceTracer, Surfaces, Tile, TileTracer, TraceSettings,
-    gaussian,
 };
 
 /// Largest difference of two results over colour in display space, coverage, and mean distance relative to itself.
@@ -29,7 +27,7 @@ struct Comparison {
     squares: f64,
     max: f32,
     texels: usize,
-    /// Rays left out because the model itself jumps within rounding: see [`jumps`].
+    /// Rays left out because the model itself jumps within rounding: see [`hangs_on_rounding`].
     jumps: usize,
 }
 
@@ -41,29 +39,13 @@ impl Comparison {
     fn add(&mut self, scene: &Scene, ray: &Ray, seen: &Radiance, truth: &Radiance) {
         let d = difference(seen, truth);
         self.texels += 1;
-        if d > 1e-5 && jumps(scene, ray) {
+        if d > 1e-5 && hangs_on_rounding(scene, ray) {
             self.jumps += 1;
             return;
         }
         self.squares += f64::from(d).powi(2);
         self.max = self.max.max(d);
     }
-}
-
-/// Whether the value along the ray hangs on a rounding of f32: some Gaussian's response is 1/255 to within 2e-5, or two
-/// that contribute have their strongest response at the same distance to within 1e-6.
-fn jumps(scene: &Scene, ray: &Ray) -> bool {
-    let splats = &scene.splats;
-    let met = |i: usize| {
-        let mean = splats.means[i].as_dvec3() - ray.origin;
-        let opacity = f64::from(splats.opacities[i]);
-        gaussian::response(&splats.unit_from_world[i].as_dmat3(), opacity, mean, ray.direction)
-    };
-    let responses: Vec<_> = (0..splats.len()).map(met).collect();
-    let mut distances: Vec<f64> = responses.iter().filter(|r| r.contributes(0.0)).map(|r| r.distance).collect();
-    distances.sort_by(f64::total_cmp);
-    responses.iter().any(|r| (r.alpha / ALPHA_MIN - 1.0).abs() < 2e-5)
-        || distances.windows(2).any(|pair| pair[1] / pair[0] - 1.0 < 1e-6)
 }
 
 fn compare(

@@ -6,19 +6,20 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
+use crate::job::{MAX_FACE_SIZE, MAX_SAMPLES};
 use crate::trace::{Face, Tile};
 
 pub use schedule::bake_probes;
 
-/// Largest edge of a face, in texels: a cubemap of that size takes 6 GiB.
-pub const MAX_FACE_SIZE: u32 = 8192;
+// The rays of a texel are traced in one tile.
+const _: () = assert!(MAX_SAMPLES <= Tile::EDGE);
 
 /// What a baked cubemap looks like.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BakeSettings {
     /// Texels along an edge of a face, 1 to [`MAX_FACE_SIZE`].
     pub face_size: u32,
-    /// Rays along an edge of a texel, 1 to [`Tile::EDGE`]; a texel is the mean of its `samples * samples` rays.
+    /// Rays along an edge of a texel, 1 to [`MAX_SAMPLES`]; a texel is the mean of its `samples * samples` rays.
     pub samples: u32,
     /// Whether the distance layer is kept.
     pub distance: bool,
@@ -35,8 +36,8 @@ impl BakeSettings {
         if !(1..=MAX_FACE_SIZE).contains(&self.face_size) {
             return Err(Error::request("face-size", format!("{} is not 1 to {MAX_FACE_SIZE} texels", self.face_size)));
         }
-        if !(1..=Tile::EDGE).contains(&self.samples) {
-            let why = format!("{} is not 1 to {} rays along a texel's edge", self.samples, Tile::EDGE);
+        if !(1..=MAX_SAMPLES).contains(&self.samples) {
+            let why = format!("{} is not 1 to {MAX_SAMPLES} rays along a texel's edge", self.samples);
             return Err(Error::request("samples", why));
         }
         Ok(())

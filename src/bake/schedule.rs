@@ -250,7 +250,7 @@ mod tests {
 
     use super::*;
     use crate::bake::Silent;
-    use crate::place::Bounds;
+    use crate::scene::Bounds;
     use crate::scene::LinearRgb;
 
     /// Half-covered everywhere; colour is the probe's position plus the (not normalised) direction, which is linear

@@ -66,7 +66,7 @@ pub struct Bake {
     #[arg(long, value_name = "FILE", help_heading = "Output")]
     stats: Option<PathBuf>,
 
-    /// Box that the probes serve, in metres.
+    /// Box that the probes serve, in metres [default: what most of the scene fills; for --probe, 5 m around each].
     #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", value_parser = parse_numbers::<6>, allow_hyphen_values = true, help_heading = "Placement")]
     bounds: Option<[f64; 6]>,
     /// Probes along x, y and z; each stands in the middle of its cell of the bounds.
@@ -100,7 +100,7 @@ pub struct Bake {
     /// How light leaves a mesh's surface [default: unlit].
     #[arg(long, value_name = "MODEL", help_heading = "Tracing")]
     surface: Option<Surface>,
-    /// What computes the radiance along rays [default: ray].
+    /// What computes the radiance along rays [default: beam].
     #[arg(long, value_name = "TRACER", help_heading = "Tracing")]
     tracer: Option<Tracer>,
 

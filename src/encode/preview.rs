@@ -20,11 +20,8 @@ use crate::error::Result;
 use crate::scene::colour::linear_to_srgb;
 use crate::trace::Face;
 
-/// File name of a probe's preview in the probe's folder.
-pub const PREVIEW_FILE: &str = "preview.png";
-
 /// Largest edge of a face in a probe's preview, in pixels; larger faces are averaged down.
-pub const PREVIEW_FACE_SIZE: u32 = 512;
+pub const PREVIEW_FACE_SIZE: u32 = 256;
 
 /// Largest edge of a face on a contact sheet, in pixels.
 pub const SHEET_FACE_SIZE: u32 = 32;

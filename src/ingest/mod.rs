@@ -14,13 +14,14 @@ use glam::DVec3;
 use memmap2::Mmap;
 
 use self::gather::Gathering;
+use self::gltf::MeshReport;
 use self::ply::Ply;
 use self::report::Statistics;
 use self::sanitize::WorldFromFile;
 use crate::error::{Error, Result};
 use crate::job::{MeshInput, SplatInput, Transform};
 use crate::scene::bounds::{Bounds, robust_bounds};
-use crate::scene::{Scene, SplatEncoding, Splats};
+use crate::scene::{Meshes, Scene, SplatEncoding, Splats};
 
 pub use report::{Quantiles, SceneReport, SplatReport};
 pub use sanitize::Dropped;
@@ -35,11 +36,41 @@ const CHUNK: usize = 4096;
 /// used, [`Error::Request`] when inputs do not fit together or a transform is singular.
 pub fn load_scene(splats: &[SplatInput], meshes: &[MeshInput]) -> Result<(Scene, SceneReport)> {
     let loaded = load_splats(splats)?;
-    let mut scene =
-        Scene { origin: loaded.origin, splats: loaded.splats, encoding: loaded.encoding, ..Scene::default() };
-    let load_mesh = |input| gltf::load(input, loaded.origin, &mut scene.meshes);
-    let mesh_reports = meshes.iter().map(load_mesh).collect::<Result<_>>()?;
+    let (origin, meshes, mesh_reports) = match splats.is_empty() {
+        true => load_meshes_alone(meshes)?,
+        false => {
+            let (loaded_meshes, reports) = load_meshes(meshes, loaded.origin)?;
+            (loaded.origin, loaded_meshes, reports)
+        }
+    };
+    let scene = Scene { origin, splats: loaded.splats, meshes, encoding: loaded.encoding, ..Scene::default() };
     Ok((scene, SceneReport { splats: loaded.reports, meshes: mesh_reports }))
+}
+
+/// All mesh inputs, merged, with positions relative to `origin`.
+fn load_meshes(inputs: &[MeshInput], origin: DVec3) -> Result<(Meshes, Vec<MeshReport>)> {
+    let mut meshes = Meshes::default();
+    let reports = inputs.iter().map(|input| gltf::load(input, origin, &mut meshes)).collect::<Result<_>>()?;
+    Ok((meshes, reports))
+}
+
+/// All mesh inputs, merged, and an origin for a scene that has nothing else in it.
+///
+/// Where a mesh lies is known when it has been read, so that a scene which lies elsewhere than the first input's
+/// transform says is read a second time.
+fn load_meshes_alone(inputs: &[MeshInput]) -> Result<(DVec3, Meshes, Vec<MeshReport>)> {
+    let guess = inputs.first().map_or(DVec3::ZERO, |input| {
+        let placed = DVec3::from(input.transform.translation);
+        origin_for(Bounds { min: placed, max: placed })
+    });
+    let (meshes, reports) = load_meshes(inputs, guess)?;
+    let report = SceneReport { splats: Vec::new(), meshes: reports };
+    let origin = report.mesh_bounds().map_or(guess, origin_for);
+    if origin == guess {
+        return Ok((origin, meshes, report.meshes));
+    }
+    let (meshes, reports) = load_meshes(inputs, origin)?;
+    Ok((origin, meshes, reports))
 }
 
 /// What is in the splat file at `path`, understood with the format's defaults. Errors as in [`load_scene`].

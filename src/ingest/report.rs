@@ -55,6 +55,21 @@ pub struct SceneReport {
     pub meshes: Vec<MeshReport>,
 }
 
+impl SceneReport {
+    /// The box that most of the scene fills, in world metres; `None` for a scene without anything in it.
+    ///
+    /// The Gaussians decide: meshes stand among them, and a backdrop must not stretch the box. Without any, the meshes do.
+    pub fn robust_bounds(&self) -> Option<Bounds> {
+        let splats = self.splats.iter().map(|report| report.robust_bounds).reduce(|a, b| a.union(&b));
+        splats.or_else(|| self.mesh_bounds())
+    }
+
+    /// The box of all meshes, in world metres.
+    pub(super) fn mesh_bounds(&self) -> Option<Bounds> {
+        self.meshes.iter().filter_map(|report| report.bounds).reduce(|a, b| a.union(&b))
+    }
+}
+
 /// A distribution by its percentiles: the value that so many per cent of the Gaussians do not exceed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "camelCase")]

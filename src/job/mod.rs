@@ -12,7 +12,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use inputs::{Frame, MeshInput, SplatInput, Transform, parse_numbers};
-pub use validate::MAX_FACE_SIZE;
+pub use validate::{MAX_FACE_SIZE, MAX_PROBES, MAX_SAMPLES};
 
 /// In which order contributions along a ray are blended (OpenUSD's and KHR_gaussian_splatting's terms).
 #[derive(Debug, Default, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -55,8 +55,10 @@ pub enum Surface {
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
 pub enum Tracer {
-    /// One ray at a time through the tree. The default.
+    /// All rays of a tile at once through the tree. The default.
     #[default]
+    Beam,
+    /// One ray at a time through the tree.
     Ray,
     /// Every primitive for every ray in f64: the truth to measure others against. Slow.
     Reference,
@@ -94,10 +96,11 @@ pub enum ProgressStyle {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, rename_all = "camelCase", default)]
 pub struct Placement {
-    /// Box that the probes serve, as x0, y0, z0, x1, y1, z1 in metres, world space. A grid needs it. Default: none.
+    /// Box that the probes serve, as x0, y0, z0, x1, y1, z1 in metres, world space. Default: for a grid, the box that
+    /// most of the scene fills, without outliers; for a list, 5 m around each probe.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bounds: Option<[f64; 6]>,
-    /// How many probes stand along x, y and z, each in the middle of its cell of `bounds`. Default: none.
+    /// How many probes stand along x, y and z, each in the middle of its cell of the bounds. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub grid: Option<[u32; 3]>,
     /// Probe positions in metres, world space, instead of a grid. Default: none.
@@ -146,7 +149,7 @@ pub struct Job {
     pub t_near: f32,
     /// How light leaves a mesh's surface. Default: unlit.
     pub surface: Surface,
-    /// What computes the radiance along rays. Default: ray.
+    /// What computes the radiance along rays. Default: beam.
     pub tracer: Tracer,
     /// How pixels are stored. Default: half.
     pub pixel: Pixel,

@@ -15,7 +15,7 @@ use crate::{Error, Result};
 
 pub use model::{
     Colour, DisplayTransform, FileFormat, FileRecord, FileRole, Frame, Influence, InputRecord, Layout, Manifest,
-    ProbeRecord, TexelSampling,
+    ProbeRecord, TexelSampling, path_in,
 };
 pub use verify::verify;
 

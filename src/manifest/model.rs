@@ -180,10 +180,15 @@ pub struct FileRecord {
 impl FileRecord {
     /// The file, for a manifest in `folder`; `None` when its path leads out of there.
     pub fn path_in(&self, folder: &Path) -> Option<PathBuf> {
-        let mut components = Path::new(&self.path).components();
-        let stays = !self.path.is_empty() && components.all(|component| matches!(component, Component::Normal(_)));
-        stays.then(|| folder.join(&self.path))
+        path_in(folder, &self.path)
     }
+}
+
+/// A file of a manifest in `folder`; `None` when `relative` leads out of there.
+pub fn path_in(folder: &Path, relative: &str) -> Option<PathBuf> {
+    let mut components = Path::new(relative).components();
+    let stays = !relative.is_empty() && components.all(|component| matches!(component, Component::Normal(_)));
+    stays.then(|| folder.join(relative))
 }
 
 /// What a probe's file is for.

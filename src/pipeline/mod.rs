@@ -16,9 +16,9 @@ use crate::ingest::{self, SceneReport};
 use crate::job::{Job, Placement, Surface, Tracer};
 use crate::manifest::{self, InputRecord, Manifest};
 use crate::place::{self, Probe};
-use crate::scene::{LinearRgb, Scene};
+use crate::scene::{Bounds, LinearRgb, Scene};
 use crate::shade::UnlitSurfaces;
-use crate::trace::{RayTracer, ReferenceTracer, Surfaces, TileTracer, TraceSettings};
+use crate::trace::{BeamTracer, Level, RayTracer, ReferenceTracer, Surfaces, TileTracer, TraceSettings};
 use crate::{Error, Result};
 
 pub use output::PREVIEW_FILE;
@@ -69,10 +69,10 @@ pub fn bake(job: &Job, progress: &dyn Progress, cancel: &AtomicBool) -> Result<B
 }
 
 fn bake_on_these_threads(job: &Job, progress: &dyn Progress, cancel: &AtomicBool) -> Result<BakeReport> {
-    let probes = place_probes(&job.placement)?;
     let begun = Instant::now();
     let (mut scene, scene_report) = ingest::load_scene(&job.splats, &job.meshes)?;
     scene.background = LinearRgb(Vec3::from(job.background));
+    let probes = place_probes(&job.placement, &scene_report)?;
     let inputs = input_records(job, &scene_report)?;
     let loaded = Instant::now();
     let bvh = Bvh::build(&mut scene);
@@ -110,13 +110,17 @@ fn bake_on_these_threads(job: &Job, progress: &dyn Progress, cancel: &AtomicBool
     Ok(report)
 }
 
-fn place_probes(placement: &Placement) -> Result<Vec<Probe>> {
+fn place_probes(placement: &Placement, scene: &SceneReport) -> Result<Vec<Probe>> {
     let bounds = placement
         .bounds
-        .map(|[x0, y0, z0, x1, y1, z1]| place::Bounds { min: DVec3::new(x0, y0, z0), max: DVec3::new(x1, y1, z1) });
-    match (placement.grid, bounds) {
-        (Some(grid), Some(bounds)) => place::grid(bounds, grid, placement.overlap),
-        _ => {
+        .map(|[x0, y0, z0, x1, y1, z1]| Bounds { min: DVec3::new(x0, y0, z0), max: DVec3::new(x1, y1, z1) });
+    match placement.grid {
+        Some(grid) => {
+            let bounds = bounds.or_else(|| scene.robust_bounds());
+            let bounds = bounds.ok_or_else(|| Error::request("--bounds", "the scene is empty: give the grid's box"))?;
+            place::grid(bounds, grid, placement.overlap)
+        }
+        None => {
             let positions: Vec<DVec3> = placement.probes.iter().copied().map(DVec3::from).collect();
             place::list(&positions, bounds, placement.overlap)
         }
@@ -127,6 +131,7 @@ fn tracer<'a>(job: &Job, scene: &'a Scene, bvh: &'a Bvh, surfaces: &'a dyn Surfa
     let settings =
         TraceSettings { order: job.order, sh_direction: job.sh_direction, t_cutoff: job.t_cutoff, t_near: job.t_near };
     match job.tracer {
+        Tracer::Beam => Box::new(BeamTracer { scene, bvh, surfaces, settings, level: Level::best() }),
         Tracer::Ray => Box::new(RayTracer { scene, bvh, surfaces, settings }),
         Tracer::Reference => Box::new(ReferenceTracer { scene, surfaces, settings }),
     }

@@ -6,16 +6,16 @@ use std::sync::{Mutex, PoisonError};
 
 use crate::bake::{Cubemap, ProbeStatistics};
 use crate::encode::exr::{DISTANCE_CHANNEL, RADIANCE_FILE, write_cubemap};
-use crate::encode::preview::{ContactSheet, write_png};
+use crate::encode::preview::{self, ContactSheet, write_png};
 use crate::job::{Job, Pixel};
 use crate::manifest::{
     self, FileFormat, FileRecord, FileRole, Influence, Layout, Manifest, ProbeRecord, TexelSampling,
 };
-use crate::place::{self, Probe};
-use crate::scene::bounds;
+use crate::place::Probe;
+use crate::scene::Bounds;
 use crate::{Error, Result};
 
-/// Name of the contact sheet of all probes in the output folder.
+/// Name of a probe's picture in its folder, and of the contact sheet of all probes in the output folder.
 pub const PREVIEW_FILE: &str = "preview.png";
 
 /// A bake's files on their way to the output folder.
@@ -72,6 +72,7 @@ impl Output {
         std::fs::create_dir(&folder).map_err(|source| Error::write(&folder, source))?;
         let path = folder.join(RADIANCE_FILE);
         let clamped = write_cubemap(&path, cubemap, self.pixel)?;
+        write_png(&folder.join(PREVIEW_FILE), &preview::cross(cubemap))?;
         let record = probe_record(probe, vec![radiance_record(&path, probe, cubemap, self.pixel)?], statistics);
         // A panic on another thread ends the bake by itself.
         if let Ok(mut written) = self.written.lock() {
@@ -88,13 +89,13 @@ impl Output {
         let staging = self.staging.path();
         write_png(&staging.join(PREVIEW_FILE), written.preview.image())?;
         let manifest = manifest(written.records.into_iter().flatten().collect());
-        let files = manifest.probes.iter().flat_map(|probe| &probe.files).map(|file| file.path.as_str());
-        for file in files.chain([PREVIEW_FILE]) {
-            rename(&staging.join(file), &self.folder.join(file))?;
-        }
+        // Before anything is moved: a full disk shows here.
+        manifest.write(&staging.join(manifest::FILE_NAME))?;
         let path = self.folder.join(manifest::FILE_NAME);
         let earlier = Manifest::read(&path).ok();
-        manifest.write(&path)?;
+        for file in probe_files(&manifest).chain([PREVIEW_FILE.into(), manifest::FILE_NAME.into()]) {
+            rename(&staging.join(&file), &self.folder.join(&file))?;
+        }
         if let Some(earlier) = earlier {
             remove_outdated(&self.folder, &earlier, &manifest);
         }
@@ -107,12 +108,20 @@ impl Output {
 /// The new bake is complete without it, so that a file which cannot be removed is no error.
 fn remove_outdated(folder: &Path, earlier: &Manifest, manifest: &Manifest) {
     let paths = |manifest: &Manifest| -> BTreeSet<PathBuf> {
-        manifest.probes.iter().flat_map(|probe| &probe.files).filter_map(|file| file.path_in(folder)).collect()
+        probe_files(manifest).filter_map(|file| manifest::path_in(folder, &file)).collect()
     };
     for path in paths(earlier).difference(&paths(manifest)) {
         let _ = std::fs::remove_file(path);
         let _ = path.parent().filter(|parent| *parent != folder).map(std::fs::remove_dir);
     }
+}
+
+/// Every file in the folders of a bake's probes, relative to the manifest.
+fn probe_files(manifest: &Manifest) -> impl Iterator<Item = String> + '_ {
+    manifest.probes.iter().flat_map(|probe| {
+        let listed = probe.files.iter().map(|file| file.path.clone());
+        listed.chain([format!("{}/{PREVIEW_FILE}", probe.id)])
+    })
 }
 
 fn rename(from: &Path, to: &Path) -> Result<()> {
@@ -142,12 +151,12 @@ fn radiance_record(path: &Path, probe: &Probe, cubemap: &Cubemap, pixel: Pixel) 
 }
 
 fn probe_record(probe: &Probe, files: Vec<FileRecord>, statistics: ProbeStatistics) -> ProbeRecord {
-    let place::Bounds { min, max } = probe.influence;
+    let Bounds { min, max } = probe.influence;
     ProbeRecord {
         id: probe.id.clone(),
         position: probe.position.into(),
         influence: Influence { min: min.into(), max: max.into(), blend: probe.blend },
-        proxy: bounds::Bounds { min, max },
+        proxy: probe.influence,
         priority: 0,
         files,
         statistics,

@@ -2,8 +2,10 @@
 
 use glam::{DVec3, UVec3};
 
-use super::{Bounds, MAX_PROBES, Probe, check_overlap, probe_id};
+use super::{Probe, check_bounds, check_overlap, probe_id};
 use crate::error::{Error, Result};
+use crate::job::MAX_PROBES;
+use crate::scene::Bounds;
 
 /// Probes at the centres of `counts` cells of `bounds`, ordered with x fastest, then y, then z.
 ///
@@ -15,7 +17,7 @@ use crate::error::{Error, Result};
 /// Fails with [`Error::Request`] when the bounds are not a finite box with a volume, a count is 0, the grid has more than
 /// [`MAX_PROBES`] probes, or `overlap` is outside [0, 1].
 pub fn grid(bounds: Bounds, counts: [u32; 3], overlap: f64) -> Result<Vec<Probe>> {
-    bounds.check()?;
+    check_bounds(&bounds)?;
     check_overlap(overlap)?;
     let total = counts.iter().try_fold(1_usize, |total, &n| total.checked_mul(n as usize));
     let total = match total {

@@ -2,8 +2,10 @@
 
 use glam::DVec3;
 
-use super::{Bounds, MAX_PROBES, Probe, check_overlap, probe_id};
+use super::{Probe, check_bounds, check_overlap, probe_id};
 use crate::error::{Error, Result};
+use crate::job::MAX_PROBES;
+use crate::scene::Bounds;
 
 /// How far a probe reaches along each axis when no bounds are given, in metres: a room of 10 m.
 pub const DEFAULT_HALF_SIZE: f64 = 5.0;
@@ -21,7 +23,7 @@ pub const DEFAULT_HALF_SIZE: f64 = 5.0;
 pub fn list(points: &[DVec3], bounds: Option<Bounds>, overlap: f64) -> Result<Vec<Probe>> {
     check_overlap(overlap)?;
     if let Some(bounds) = bounds {
-        bounds.check()?;
+        check_bounds(&bounds)?;
     }
     if points.is_empty() || points.len() > MAX_PROBES {
         return Err(Error::request("probe", format!("{} points given; 1 to {MAX_PROBES} are needed", points.len())));

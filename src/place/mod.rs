@@ -6,39 +6,10 @@ pub mod list;
 use glam::DVec3;
 
 use crate::error::{Error, Result};
+use crate::scene::Bounds;
 
 pub use grid::grid;
 pub use list::list;
-
-/// Most probes that one bake places.
-pub const MAX_PROBES: usize = 1_000_000;
-
-/// An axis-aligned box in world space, in metres.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Bounds {
-    /// The corner with the smallest coordinates.
-    pub min: DVec3,
-    /// The corner with the largest coordinates.
-    pub max: DVec3,
-}
-
-impl Bounds {
-    /// Whether `point` lies in the box or on its surface.
-    pub fn contains(&self, point: DVec3) -> bool {
-        point.cmpge(self.min).all() && point.cmple(self.max).all()
-    }
-
-    /// Fails unless the box is finite and has a volume.
-    fn check(&self) -> Result<()> {
-        let size = self.max - self.min;
-        if size.is_finite() && size.cmpgt(DVec3::ZERO).all() {
-            return Ok(());
-        }
-        let [a, b] = [self.min, self.max];
-        let why = format!("{a} to {b} is not a box: every maximum must lie above its minimum, and all must be finite");
-        Err(Error::request("bounds", why))
-    }
-}
 
 /// A reflection probe: where its cubemap is taken and where it is used.
 #[derive(Debug, Clone, PartialEq)]
@@ -73,6 +44,17 @@ impl Probe {
 fn probe_id(index: usize, count: usize) -> String {
     let digits = count.saturating_sub(1).to_string().len().max(3);
     format!("probe_{index:0digits$}")
+}
+
+/// Fails unless `bounds` is finite and has a volume.
+fn check_bounds(bounds: &Bounds) -> Result<()> {
+    let size = bounds.extent();
+    if size.is_finite() && size.cmpgt(DVec3::ZERO).all() {
+        return Ok(());
+    }
+    let Bounds { min, max } = bounds;
+    let why = format!("{min} to {max} is not a box: every maximum must lie above its minimum, and all must be finite");
+    Err(Error::request("bounds", why))
 }
 
 /// Fails unless `overlap` is a share: 0 to 1.

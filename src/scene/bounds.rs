@@ -45,6 +45,16 @@ impl Bounds {
         self.max - self.min
     }
 
+    /// Whether `point` lies in the box or on its surface.
+    pub fn contains(&self, point: DVec3) -> bool {
+        point.cmpge(self.min).all() && point.cmple(self.max).all()
+    }
+
+    /// The box of both.
+    pub fn union(&self, other: &Self) -> Self {
+        Self { min: self.min.min(other.min), max: self.max.max(other.max) }
+    }
+
     /// The same box moved by `offset`.
     pub fn translated(&self, offset: DVec3) -> Self {
         Self { min: self.min + offset, max: self.max + offset }

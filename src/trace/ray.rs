@@ -294,10 +294,10 @@ impl Slabs {
     fn distances(&self, node: &WideNode) -> [f32; WIDTH] {
         let mut squared = [0.0f32; WIDTH];
         for axis in 0..3 {
-            for k in 0..WIDTH {
+            for (k, squared) in squared.iter_mut().enumerate() {
                 let outside =
                     (node.min[axis][k] - self.origin_high[axis]).max(self.origin_low[axis] - node.max[axis][k]);
-                squared[k] += outside.max(0.0).powi(2);
+                *squared += outside.max(0.0).powi(2);
             }
         }
         squared.map(|s| s.sqrt() * (1.0 - SLAB_SLACK))

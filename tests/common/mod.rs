@@ -3,8 +3,9 @@
 
 use glam::{DQuat, DVec3, Vec2, Vec3};
 use splatprobe::scene::mesh::{Material, VertexAttributes};
+use splatprobe::scene::splats::ALPHA_MIN;
 use splatprobe::scene::{LinearRgb, Scene, Splats, sh};
-use splatprobe::trace::{Fragment, Ray, SurfaceHit, Surfaces};
+use splatprobe::trace::{Fragment, Ray, SurfaceHit, Surfaces, gaussian};
 
 /// A counter-based generator (splitmix64): the same numbers on every machine.
 pub struct Random(pub u64);
@@ -147,4 +148,20 @@ impl Surfaces for NoSurfaces {
     fn fragment(&self, _: &Ray, _: &SurfaceHit) -> Fragment {
         unreachable!("the scene has no triangles")
     }
+}
+
+/// Whether the value along the ray hangs on a rounding of f32: some Gaussian's response is 1/255 to within 2e-5, or two
+/// that contribute have their strongest response at the same distance to within 1e-6.
+pub fn hangs_on_rounding(scene: &Scene, ray: &Ray) -> bool {
+    let splats = &scene.splats;
+    let met = |i: usize| {
+        let mean = splats.means[i].as_dvec3() - ray.origin;
+        let opacity = f64::from(splats.opacities[i]);
+        gaussian::response(&splats.unit_from_world[i].as_dmat3(), opacity, mean, ray.direction)
+    };
+    let responses: Vec<_> = (0..splats.len()).map(met).collect();
+    let mut distances: Vec<f64> = responses.iter().filter(|r| r.contributes(0.0)).map(|r| r.distance).collect();
+    distances.sort_by(f64::total_cmp);
+    responses.iter().any(|r| (r.alpha / ALPHA_MIN - 1.0).abs() < 2e-5)
+        || distances.windows(2).any(|pair| pair[1] / pair[0] - 1.0 < 1e-6)
 }

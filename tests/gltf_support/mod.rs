@@ -146,3 +146,16 @@ pub fn png(width: u32, height: u32, rgba: &[[u8; 4]]) -> Vec<u8> {
     .expect("a PNG");
     bytes.into_inner()
 }
+
+/// The square with a 2 x 2 texture: top row red, green; bottom row blue, white; nearest, with this texture info.
+pub fn textured_square(info: Value, sampler: Value) -> File {
+    let mut file = File::square();
+    let pixels = [[255, 0, 0, 255], [0, 255, 0, 128], [0, 0, 255, 64], [255, 255, 255, 0]];
+    let view = file.view(&png(2, 2, &pixels));
+    file.json["images"] = json!([{"bufferView": view, "mimeType": "image/png"}]);
+    file.json["samplers"] = json!([sampler]);
+    file.json["textures"] = json!([{"source": 0, "sampler": 0}]);
+    file.push("materials", json!({"pbrMetallicRoughness": {"baseColorTexture": info}}));
+    file.json["meshes"][0]["primitives"][0]["material"] = json!(0);
+    file
+}
