@@ -1,11 +1,12 @@
 //! A watertight ray-triangle test in f64.
 //!
-//! Signed volumes of the ray with the triangle's edges (Pluecker form). An edge's volume is formed from its two end
-//! points alone, so two triangles that share an edge get exactly opposite values, whatever the rounding: no ray slips
-//! between them. A ray that meets an edge exactly belongs to one of the two, by the order of the edge's end points, so
-//! that a blended surface is not counted twice along its diagonals.
+//! The corners are projected along the ray and the edges tested in that plane (Woop, Benthin and Wald 2013). A corner's
+//! projection depends on the ray and the corner alone and an edge's side on its two ends alone, so two triangles that
+//! share an edge get exactly opposite values, whatever the rounding: no ray slips between them, not at their corners
+//! either. A ray that meets an edge exactly belongs to one of the two, by the order of the edge's end points, so that a
+//! blended surface is not counted twice along its diagonals.
 
-use glam::{DVec3, Vec2};
+use glam::{DVec2, DVec3, Vec2};
 
 /// Where a ray meets a triangle.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -23,31 +24,26 @@ pub struct TriangleHit {
 #[inline]
 pub fn intersect(corners: [DVec3; 3], direction: DVec3) -> Option<TriangleHit> {
     let [a, b, c] = corners;
-    // From the front, each volume is positive when the ray passes on the inner side of that edge.
-    let volumes = [edge_volume(b, c, direction), edge_volume(c, a, direction), edge_volume(a, b, direction)];
-    let sum = volumes[0] + volumes[1] + volumes[2];
+    let (right, up) = direction.any_orthonormal_pair();
+    let [pa, pb, pc] = corners.map(|corner| DVec2::new(corner.dot(right), corner.dot(up)));
+    // Twice the areas of the triangles that the ray makes with the edges; positive inside when seen from the front.
+    let areas = [pc.perp_dot(pb), pa.perp_dot(pc), pb.perp_dot(pa)];
+    let sum = areas[0] + areas[1] + areas[2];
     let front = sum > 0.0;
-    let inside = |volume: f64, from: DVec3, to: DVec3| {
-        let inward = if front { volume } else { -volume };
+    let inside = |area: f64, from: DVec3, to: DVec3| {
+        let inward = if front { area } else { -area };
         inward > 0.0 || (inward == 0.0 && (precedes(from, to) == front))
     };
-    if !(inside(volumes[0], b, c) && inside(volumes[1], c, a) && inside(volumes[2], a, b)) || sum == 0.0 {
+    if !(inside(areas[0], b, c) && inside(areas[1], c, a) && inside(areas[2], a, b)) || sum == 0.0 {
         return None;
     }
     let normal = (b - a).cross(c - a);
     let distance = normal.dot(a) / normal.dot(direction);
     (distance > 0.0 && distance.is_finite()).then(|| TriangleHit {
         distance,
-        barycentric: Vec2::new((volumes[1] / sum) as f32, (volumes[2] / sum) as f32),
+        barycentric: Vec2::new((areas[1] / sum) as f32, (areas[2] / sum) as f32),
         front,
     })
-}
-
-/// Six times the signed volume of the tetrahedron (origin, from, to, direction); exactly negated when the ends swap.
-/// Positive for a ray on the inner side of an edge of a triangle that faces the origin.
-#[inline]
-fn edge_volume(from: DVec3, to: DVec3, direction: DVec3) -> f64 {
-    direction.dot(to.cross(from))
 }
 
 fn precedes(p: DVec3, q: DVec3) -> bool {

@@ -126,10 +126,10 @@ pub(super) struct Block {
 #[derive(Default)]
 pub(super) struct Desk {
     entries: Vec<Entry>,
-    /// Slots of `entries`: those that no entry uses, those that wait for their turn to arrive (their least key above,
-    /// their slot below, in falling order), and those that have arrived, in that order.
+    /// Slots of `entries`: those that no entry uses, those that wait for their turn to arrive (under their least key's
+    /// bits and their candidate's index, in falling order), and those that have arrived, in that order.
     free: Vec<u32>,
-    waiting: Vec<u64>,
+    waiting: Vec<(u64, u32)>,
     open: Vec<u32>,
 }
 
@@ -154,18 +154,19 @@ impl Desk {
         self.free.push(slot);
     }
 
-    /// Lets the entry in `slot` wait until nothing can arrive before `key_min`, its least key.
+    /// Lets the entry in `slot` wait until nothing can arrive before `key_min`, its least key. Of equal keys, that of the
+    /// lower `index` arrives first.
     #[inline(always)]
-    pub fn wait(&mut self, slot: u32, key_min: f32) {
+    pub fn wait(&mut self, slot: u32, key_min: f32, index: u32) {
         // Keys are not negative, so their bit patterns order as they do.
-        let waiting = u64::from(key_min.to_bits()) << 32 | u64::from(slot);
-        let place = self.waiting.partition_point(|&other| other > waiting);
-        self.waiting.insert(place, waiting);
+        let turn = u64::from(key_min.to_bits()) << 32 | u64::from(index);
+        let place = self.waiting.partition_point(|&(other, _)| other > turn);
+        self.waiting.insert(place, (turn, slot));
     }
 
     /// Makes every slot free again.
     fn clear(&mut self) {
-        self.free.extend(self.waiting.drain(..).map(|waiting| waiting as u32));
+        self.free.extend(self.waiting.drain(..).map(|(_, slot)| slot));
         self.free.append(&mut self.open);
     }
 }
@@ -249,13 +250,13 @@ impl Block {
     pub fn advance<S: Simd>(&mut self, simd: S, desk: &mut Desk, bound: f32, cutoff: f32, lane_colours: &[[Lanes; 3]]) {
         let limit = u64::from(bound.to_bits()) << 32;
         let mut least = bound;
-        while let Some(&next) = desk.waiting.last() {
-            if next >= limit {
-                least = f32::from_bits((next >> 32) as u32).min(bound);
+        while let Some(&(turn, slot)) = desk.waiting.last() {
+            if turn >= limit {
+                least = f32::from_bits((turn >> 32) as u32).min(bound);
                 break;
             }
             desk.waiting.pop();
-            self.arrive(simd, desk, next as u32);
+            self.arrive(simd, desk, slot);
         }
         self.settle(simd, desk, least, cutoff, lane_colours);
         if desk.open.len() > MAX_OPEN {

@@ -112,7 +112,7 @@ impl Shader<'_> {
         let mut desk = block.take_desk(&mut self.desks);
         let mut rest = list.iter();
         loop {
-            let mut batch = [(0u32, f32::INFINITY); BATCH];
+            let mut batch = [(0u32, f32::INFINITY, 0u32); BATCH];
             let mut filled = 0;
             let mut next = bound;
             for &listed in rest.by_ref() {
@@ -126,15 +126,15 @@ impl Shader<'_> {
                 } else {
                     self.intersect(block, candidate, desk.entry(slot))
                 };
-                batch[filled] = (slot, key_min);
+                batch[filled] = (slot, key_min, candidate.index);
                 filled += 1;
                 if filled == BATCH {
                     next = f32::from_bits((listed >> 32) as u32).min(bound);
                     break;
                 }
             }
-            for &(slot, key_min) in &batch[..filled] {
-                if key_min < f32::INFINITY { desk.wait(slot, key_min) } else { desk.release(slot) }
+            for &(slot, key_min, index) in &batch[..filled] {
+                if key_min < f32::INFINITY { desk.wait(slot, key_min, index) } else { desk.release(slot) }
             }
             block.advance(simd, &mut desk, next, cutoff, &self.lane_colours);
             if filled < BATCH || block.state != State::Live {
