@@ -1,10 +1,12 @@
 //! What a bake makes of broken, hostile and impossible requests: one message, the right exit code, earlier output intact.
 
+mod cli_support;
 mod gltf_support;
 
 use std::path::Path;
 use std::process::{Command, Output};
 
+use cli_support::{contents, splatprobe};
 use gltf_support::File;
 use serde_json::{Value, json};
 
@@ -22,24 +24,6 @@ fn baked() -> tempfile::TempDir {
     let output = splatprobe(folder.path(), "bake --splats one.ply --probe 0,0,0 --face-size 8 -o out");
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
     folder
-}
-
-fn splatprobe(folder: &Path, line: &str) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_splatprobe")).args(line.split_whitespace()).current_dir(folder).output().unwrap()
-}
-
-/// Every file under `folder` with its content.
-fn contents(folder: &Path) -> Vec<(std::path::PathBuf, Vec<u8>)> {
-    let mut files = Vec::new();
-    for entry in std::fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        match path.is_dir() {
-            true => files.extend(contents(&path)),
-            false => files.push((path.clone(), std::fs::read(&path).unwrap())),
-        }
-    }
-    files.sort();
-    files
 }
 
 /// Checks that `output` is a failure with one message that holds all of `said`, and that the folder is as it was.

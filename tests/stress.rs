@@ -2,16 +2,17 @@
 
 mod common;
 
-use common::{Gaussian, NoSurfaces, PatternedSurfaces, Random, add_triangle, splats};
+use common::{Gaussian, NoSurfaces, PatternedSurfaces, Random, add_triangle, begins_at_the_probe, splats};
 use glam::{DQuat, DVec3, Vec3};
 use splatprobe::bvh::Bvh;
 use splatprobe::scene::Scene;
 use splatprobe::trace::{
-    BeamTracer, Face, Level, Radiance, RayTracer, ReferenceTracer, Surfaces, Tile, TileTracer, TraceSettings,
+    BeamTracer, Face, Level, Radiance, Ray, RayTracer, ReferenceTracer, Surfaces, Tile, TileTracer, TraceSettings,
 };
 
 /// Traces all six faces of `size` texels with both production tracers and the reference; returns the largest difference
-/// of the splat and surface sums and the transmittance.
+/// of the splat and surface sums and the transmittance. Rays that begin at a Gaussian's strongest response are left out:
+/// whether it lies ahead is a matter of rounding.
 fn worst(scene: &Scene, bvh: &Bvh, surfaces: &dyn Surfaces, origin: DVec3, size: u32) -> f32 {
     let settings = TraceSettings { t_cutoff: 0.0, ..TraceSettings::default() };
     let truth = ReferenceTracer { scene, surfaces, settings };
@@ -27,10 +28,14 @@ fn worst(scene: &Scene, bvh: &Bvh, surfaces: &dyn Surfaces, origin: DVec3, size:
         };
         let expected = trace(&truth);
         for seen in [trace(&ray), trace(&beam)] {
-            for (a, b) in seen.iter().zip(&expected) {
+            for ((a, b), direction) in seen.iter().zip(&expected).zip(tile.directions()) {
                 assert!(a.splat_sum.is_finite() && a.surface_sum.is_finite() && a.transmittance.is_finite());
-                let difference = (a.splat_sum - b.splat_sum).abs().max((a.surface_sum - b.surface_sum).abs());
-                worst = worst.max(difference.max_element()).max((a.transmittance - b.transmittance).abs());
+                let sums = (a.splat_sum - b.splat_sum).abs().max((a.surface_sum - b.surface_sum).abs());
+                let difference = sums.max_element().max((a.transmittance - b.transmittance).abs());
+                if difference <= worst || begins_at_the_probe(scene, &Ray { origin, direction }) {
+                    continue;
+                }
+                worst = difference;
             }
         }
     }

@@ -2,11 +2,15 @@
 
 mod common;
 
+use std::path::Path;
+
 use common::{NoSurfaces, PatternedSurfaces, Random, add_random_triangles, cloud, hangs_on_rounding};
 use glam::{DVec3, Vec3};
 use splatprobe::bvh::Bvh;
-use splatprobe::job::{Order, ShDirection};
+use splatprobe::ingest::load_scene;
+use splatprobe::job::{Job, Order, ShDirection};
 use splatprobe::scene::{Scene, colour};
+use splatprobe::shade::UnlitSurfaces;
 use splatprobe::trace::ray::RayScratch;
 use splatprobe::trace::{
     BeamTracer, Face, Level, Radiance, Ray, RayTracer, ReferenceTracer, Surfaces, Tile, TileTracer, TraceSettings,
@@ -145,6 +149,59 @@ fn beam_equals_ray_at_every_level_order_and_colour_direction() {
                     }
                 }
             }
+        }
+    }
+}
+
+/// Compares `tracers` with the reference at 4000 random pixels of a 256 px cube.
+fn compare_pixels(
+    scene: &Scene,
+    tracers: &[&dyn TileTracer],
+    truth: &dyn TileTracer,
+    origin: DVec3,
+) -> Vec<Comparison> {
+    let mut comparisons: Vec<Comparison> = tracers.iter().map(|_| Comparison::default()).collect();
+    let mut random = Random(41);
+    for _ in 0..4000 {
+        let (face, x, y) = (Face::ALL[random.below(6)], random.below(256) as u32, random.below(256) as u32);
+        let tile = Tile { face, face_size: 256, x, y, width: 1, height: 1 };
+        let trace = |tracer: &dyn TileTracer| {
+            let mut texel = [Radiance::default()];
+            tracer.trace_tile(origin, &tile, &mut texel);
+            texel[0]
+        };
+        let expected = trace(truth);
+        for (tracer, comparison) in tracers.iter().zip(&mut comparisons) {
+            comparison.add(scene, &Ray { origin, direction: tile.direction(0, 0) }, &trace(*tracer), &expected);
+        }
+    }
+    comparisons
+}
+
+#[test]
+fn four_thousand_pixels_of_three_scenes_equal_the_reference() {
+    let demo = Job::from_file(&Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/demo/demo.json")).unwrap();
+    let (demo, _) = load_scene(&demo.splats, &demo.meshes).unwrap();
+    let extreme = Scene { splats: cloud(20_000, [4e-5, 0.5], 1, 51), ..Scene::default() };
+    let mut mixed = Scene { splats: cloud(4000, [0.01, 0.4], 3, 52), ..Scene::default() };
+    add_random_triangles(&mut mixed, 200, 53);
+    for (name, mut scene, origin, rms, patterned) in [
+        ("demo", demo, DVec3::new(2.5, 1.4, 2.1), 2e-5, false),
+        ("extreme anisotropy", extreme, DVec3::ZERO, 1e-4, false),
+        ("masked and blended triangles", mixed, DVec3::new(0.1, 0.2, -0.3), 2e-5, true),
+    ] {
+        let bvh = Bvh::build(&mut scene);
+        let scene = &scene;
+        let (pattern, unlit) = (PatternedSurfaces(scene), UnlitSurfaces::new(&scene.meshes));
+        let surfaces: &dyn Surfaces = if patterned { &pattern } else { &unlit };
+        let settings = TraceSettings { t_cutoff: 0.0, ..TraceSettings::default() };
+        let ray = RayTracer { scene, bvh: &bvh, surfaces, settings };
+        let beam = BeamTracer { scene, bvh: &bvh, surfaces, settings, level: Level::best() };
+        let truth = ReferenceTracer { scene, surfaces, settings };
+        for (tracer, seen) in ["ray", "beam"].iter().zip(compare_pixels(scene, &[&ray, &beam], &truth, origin)) {
+            println!("{name}, {tracer}: rms {:e}, max {:e}, {} jumps", seen.rms(), seen.max, seen.jumps);
+            assert!(seen.rms() <= rms && seen.max <= 1e-3, "{name}, {tracer}: {:e} {:e}", seen.rms(), seen.max);
+            assert!(seen.jumps * 20 < seen.texels, "{name}, {tracer}: {} jumps", seen.jumps);
         }
     }
 }

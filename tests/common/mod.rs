@@ -150,18 +150,29 @@ impl Surfaces for NoSurfaces {
     }
 }
 
-/// Whether the value along the ray hangs on a rounding of f32: some Gaussian's response is 1/255 to within 2e-5, or two
-/// that contribute have their strongest response at the same distance to within 1e-6.
+/// Whether the value along the ray hangs on a rounding of f32: some Gaussian's response is 1/255 to within 2e-5 or is
+/// strongest [at the probe](begins_at_the_probe), or two that contribute have their strongest response at the same
+/// distance to within 1e-6.
 pub fn hangs_on_rounding(scene: &Scene, ray: &Ray) -> bool {
-    let splats = &scene.splats;
-    let met = |i: usize| {
-        let mean = splats.means[i].as_dvec3() - ray.origin;
-        let opacity = f64::from(splats.opacities[i]);
-        gaussian::response(&splats.unit_from_world[i].as_dmat3(), opacity, mean, ray.direction)
-    };
-    let responses: Vec<_> = (0..splats.len()).map(met).collect();
+    let responses = responses(scene, ray);
     let mut distances: Vec<f64> = responses.iter().filter(|r| r.contributes(0.0)).map(|r| r.distance).collect();
     distances.sort_by(f64::total_cmp);
     responses.iter().any(|r| (r.alpha / ALPHA_MIN - 1.0).abs() < 2e-5)
         || distances.windows(2).any(|pair| pair[1] / pair[0] - 1.0 < 1e-6)
+        || begins_at_the_probe(scene, ray)
+}
+
+/// Whether some Gaussian's response is strongest within a micrometre of the ray's origin: it counts in front and not behind.
+pub fn begins_at_the_probe(scene: &Scene, ray: &Ray) -> bool {
+    responses(scene, ray).iter().any(|r| r.alpha >= ALPHA_MIN && r.distance.abs() < 1e-6)
+}
+
+fn responses(scene: &Scene, ray: &Ray) -> Vec<gaussian::Response> {
+    let splats = &scene.splats;
+    let response = |i: usize| {
+        let mean = splats.means[i].as_dvec3() - ray.origin;
+        let opacity = f64::from(splats.opacities[i]);
+        gaussian::response(&splats.unit_from_world[i].as_dmat3(), opacity, mean, ray.direction)
+    };
+    (0..splats.len()).map(response).collect()
 }
