@@ -24,7 +24,9 @@ pub struct TriangleHit {
 #[inline]
 pub fn intersect(corners: [DVec3; 3], direction: DVec3) -> Option<TriangleHit> {
     let [a, b, c] = corners;
-    let (right, up) = direction.any_orthonormal_pair();
+    // Lengths do not matter: only signs and ratios of areas do.
+    let right = direction.any_orthogonal_vector();
+    let up = direction.cross(right);
     let [pa, pb, pc] = corners.map(|corner| DVec2::new(corner.dot(right), corner.dot(up)));
     // Twice the areas of the triangles that the ray makes with the edges; positive inside when seen from the front.
     let areas = [pc.perp_dot(pb), pa.perp_dot(pc), pb.perp_dot(pa)];
