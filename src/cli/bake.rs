@@ -91,7 +91,7 @@ pub struct Bake {
     /// Direction in which colours of Gaussians are evaluated [default: mean].
     #[arg(long, value_name = "DIRECTION", help_heading = "Tracing")]
     sh_direction: Option<ShDirection>,
-    /// End a ray when its transmittance falls below this; 0 never does [default: 0.001].
+    /// End a ray when its transmittance falls below this; 0 never does [default: 1/2048].
     #[arg(long, value_name = "SHARE", help_heading = "Tracing")]
     t_cutoff: Option<f32>,
     /// Ignore what is nearer than this, in metres [default: 0].

@@ -141,7 +141,8 @@ pub struct Job {
     pub order: Order,
     /// Direction in which colours of Gaussians are evaluated. Default: mean.
     pub sh_direction: ShDirection,
-    /// A ray ends when its transmittance falls below this share; 0 follows every ray to its end. Default: 0.001.
+    /// A ray ends when its transmittance falls below this share; 0 follows every ray to its end. What it leaves out is
+    /// at most this share of a colour. Default: 1/2048.
     #[schemars(extend("minimum" = 0, "exclusiveMaximum" = 1))]
     pub t_cutoff: f32,
     /// Contributions nearer than this, in metres, are ignored. Default: 0.
@@ -182,7 +183,7 @@ impl Default for Job {
             samples: 1,
             order: Order::default(),
             sh_direction: ShDirection::default(),
-            t_cutoff: 1e-3,
+            t_cutoff: 1.0 / 2048.0,
             t_near: 0.0,
             surface: Surface::default(),
             tracer: Tracer::default(),

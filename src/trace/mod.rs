@@ -36,7 +36,7 @@ pub struct TraceSettings {
 
 impl Default for TraceSettings {
     fn default() -> Self {
-        Self { order: Order::default(), sh_direction: ShDirection::default(), t_cutoff: 1e-3, t_near: 0.0 }
+        Self { order: Order::default(), sh_direction: ShDirection::default(), t_cutoff: 1.0 / 2048.0, t_near: 0.0 }
     }
 }
 
