@@ -9,6 +9,8 @@
 mod boxes;
 mod build;
 
+use glam::{DVec3, Vec3};
+
 pub use boxes::{Box3, gaussian_box};
 
 /// Children per node.
@@ -89,5 +91,37 @@ impl WideNode {
             Child::Gaussian(index) => (index, Kind::Gaussian),
             Child::Triangle(index) => (index, Kind::Triangle),
         };
+    }
+}
+
+/// A point as the two f32 points around it, so that f32 differences to it bound the true ones.
+#[derive(Debug, Clone, Copy)]
+pub struct Viewpoint {
+    /// Rounded down along every axis, in metres relative to the scene origin.
+    pub low: Vec3,
+    /// Rounded up.
+    pub high: Vec3,
+}
+
+impl Viewpoint {
+    /// The point at `origin`, in metres relative to the scene origin.
+    pub fn new(origin: DVec3) -> Self {
+        let rounded = origin.as_vec3();
+        Self {
+            low: Vec3::new(rounded.x.next_down(), rounded.y.next_down(), rounded.z.next_down()),
+            high: Vec3::new(rounded.x.next_up(), rounded.y.next_up(), rounded.z.next_up()),
+        }
+    }
+
+    /// Distances, in metres, to the nearest points of a node's boxes; 0 inside. Good to a few roundings.
+    pub fn distances(&self, node: &WideNode) -> [f32; WIDTH] {
+        let mut squared = [0.0f32; WIDTH];
+        for axis in 0..3 {
+            for (lane, squared) in squared.iter_mut().enumerate() {
+                let outside = (node.min[axis][lane] - self.high[axis]).max(self.low[axis] - node.max[axis][lane]);
+                *squared += outside.max(0.0).powi(2);
+            }
+        }
+        squared.map(f32::sqrt)
     }
 }

@@ -18,7 +18,7 @@ use glam::{DVec3, Vec3};
 
 use super::composite::Blender;
 use super::{Radiance, Ray, SurfaceHit, Surfaces, Tile, TileTracer, TraceSettings, gaussian, triangle};
-use crate::bvh::{Bvh, Child, WIDTH, WideNode};
+use crate::bvh::{Bvh, Child, Viewpoint, WIDTH, WideNode};
 use crate::job::{Order, ShDirection};
 use crate::scene::{Scene, sh};
 
@@ -239,23 +239,17 @@ fn from_queue_entry(entry: u64) -> (f32, u32) {
 
 /// A ray prepared for testing boxes: eight at a time, in f32, conservatively.
 struct Slabs {
-    /// The origin rounded down and up to f32, so that differences to it bound the true ones.
-    origin_low: Vec3,
-    origin_high: Vec3,
+    viewpoint: Viewpoint,
     inverse: Vec3,
     order: Order,
 }
 
 impl Slabs {
     fn new(ray: &Ray, order: Order) -> Self {
-        let rounded = ray.origin.as_vec3();
-        let low = |axis: usize| rounded[axis].next_down();
-        let high = |axis: usize| rounded[axis].next_up();
         // A component of 1e-20 is as good as 0: over 1e15 m, the end of all boxes, it moves 1e-5 m.
         let inverse = |d: f64| 1.0 / if d.abs() < 1e-20 { 1e-20f32.copysign(d as f32) } else { d as f32 };
         Self {
-            origin_low: Vec3::new(low(0), low(1), low(2)),
-            origin_high: Vec3::new(high(0), high(1), high(2)),
+            viewpoint: Viewpoint::new(ray.origin),
             inverse: Vec3::new(inverse(ray.direction.x), inverse(ray.direction.y), inverse(ray.direction.z)),
             order,
         }
@@ -267,7 +261,7 @@ impl Slabs {
         let mut enter = [0.0f32; WIDTH];
         let mut exit = [f32::INFINITY; WIDTH];
         for axis in 0..3 {
-            let (low, high, inverse) = (self.origin_low[axis], self.origin_high[axis], self.inverse[axis]);
+            let (low, high, inverse) = (self.viewpoint.low[axis], self.viewpoint.high[axis], self.inverse[axis]);
             for k in 0..WIDTH {
                 let to_min = (node.min[axis][k] - high) * inverse;
                 let to_max = (node.max[axis][k] - low) * inverse;
@@ -286,20 +280,9 @@ impl Slabs {
         }
         match self.order {
             Order::RayHitDistance => (enter, hits),
-            Order::CameraDistance => (self.distances(node), hits),
-        }
-    }
-
-    /// Lower bounds on the distance from the origin to each box.
-    fn distances(&self, node: &WideNode) -> [f32; WIDTH] {
-        let mut squared = [0.0f32; WIDTH];
-        for axis in 0..3 {
-            for (k, squared) in squared.iter_mut().enumerate() {
-                let outside =
-                    (node.min[axis][k] - self.origin_high[axis]).max(self.origin_low[axis] - node.max[axis][k]);
-                *squared += outside.max(0.0).powi(2);
+            Order::CameraDistance => {
+                (self.viewpoint.distances(node).map(|distance| distance * (1.0 - SLAB_SLACK)), hits)
             }
         }
-        squared.map(|s| s.sqrt() * (1.0 - SLAB_SLACK))
     }
 }

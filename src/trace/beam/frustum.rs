@@ -1,9 +1,9 @@
 //! Which of a node's children a tile sees, in which of its cells, and from which key on.
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 
 use super::CELL_EDGE;
-use crate::bvh::{WIDTH, WideNode};
+use crate::bvh::{Viewpoint, WIDTH, WideNode};
 use crate::job::Order;
 use crate::trace::Tile;
 
@@ -19,8 +19,7 @@ const KEY_SLACK: f32 = 1e-6;
 pub(super) struct Frustum {
     /// Per face axis: the world axis, and whether it runs the other way.
     axes: [(usize, bool); 3],
-    origin_low: Vec3,
-    origin_high: Vec3,
+    viewpoint: Viewpoint,
     /// Texels per unit of x / z, and the image centre in texels from the tile's corner.
     scale: f32,
     centre: [f32; 2],
@@ -43,12 +42,10 @@ impl Frustum {
             let world = (0..3).find(|&a| direction[a] != 0.0).unwrap_or(0);
             (world, direction[world] < 0.0)
         };
-        let rounded = origin.as_vec3();
         let half = f64::from(tile.face_size) / 2.0;
         Self {
             axes: [axis(right), axis(-up), axis(look)],
-            origin_low: Vec3::new(rounded.x.next_down(), rounded.y.next_down(), rounded.z.next_down()),
-            origin_high: Vec3::new(rounded.x.next_up(), rounded.y.next_up(), rounded.z.next_up()),
+            viewpoint: Viewpoint::new(origin),
             scale: half as f32,
             centre: [(half - f64::from(tile.x)) as f32, (half - f64::from(tile.y)) as f32],
             size: [tile.width as f32, tile.height as f32],
@@ -72,7 +69,7 @@ impl Frustum {
             seen.keys[lane] = near * (1.0 - KEY_SLACK);
         }
         if self.order == Order::CameraDistance {
-            seen.keys = self.distances([x, y, z]);
+            seen.keys = self.viewpoint.distances(node).map(|distance| distance * (1.0 - KEY_SLACK));
         }
         seen
     }
@@ -81,8 +78,8 @@ impl Frustum {
     #[inline]
     fn extent(&self, node: &WideNode, face_axis: usize) -> [[f32; WIDTH]; 2] {
         let (axis, flipped) = self.axes[face_axis];
-        let low = node.min[axis].map(|corner| corner - self.origin_high[axis]);
-        let high = node.max[axis].map(|corner| corner - self.origin_low[axis]);
+        let low = node.min[axis].map(|corner| corner - self.viewpoint.high[axis]);
+        let high = node.max[axis].map(|corner| corner - self.viewpoint.low[axis]);
         if flipped { [high.map(|x| -x), low.map(|x| -x)] } else { [low, high] }
     }
 
@@ -96,16 +93,6 @@ impl Frustum {
             left * self.scale + self.centre[image_axis] - TEXEL_SLACK,
             right * self.scale + self.centre[image_axis] + TEXEL_SLACK,
         ]
-    }
-
-    fn distances(&self, extents: [[[f32; WIDTH]; 2]; 3]) -> [f32; WIDTH] {
-        let mut squared = [0.0f32; WIDTH];
-        for [low, high] in extents {
-            for lane in 0..WIDTH {
-                squared[lane] += low[lane].max(-high[lane]).max(0.0).powi(2);
-            }
-        }
-        squared.map(|s| s.sqrt() * (1.0 - KEY_SLACK))
     }
 }
 
