@@ -1,13 +1,13 @@
 //! All Gaussians of all inputs in one set of arrays: decoded in parallel, each to where it stays.
 
-use std::ops::Range;
+use std::ops::{AddAssign, Range};
 
 use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
 use super::CHUNK;
-use super::ply::Ply;
 use super::sanitize::{Dropped, FileGaussian, WorldFromFile};
+use super::source::SplatSource;
 use crate::error::Result;
 use crate::scene::Splats;
 use crate::scene::sh::coefficient_count;
@@ -18,7 +18,7 @@ pub(super) struct Gathering {
     filled: usize,
 }
 
-/// What one input brought.
+/// What an input, or a part of it, brought.
 pub(super) struct Gathered {
     /// Where its Gaussians are.
     pub range: Range<usize>,
@@ -27,7 +27,16 @@ pub(super) struct Gathered {
     pub sh_degree_used: u8,
 }
 
-/// What one chunk of an input brought.
+/// The next part's joins what is there.
+impl AddAssign for Gathered {
+    fn add_assign(&mut self, next: Self) {
+        self.range.end = next.range.end;
+        self.dropped += next.dropped;
+        self.sh_degree_used = self.sh_degree_used.max(next.sh_degree_used);
+    }
+}
+
+/// What one chunk of a part brought.
 #[derive(Default)]
 struct ChunkOutcome {
     kept: usize,
@@ -35,7 +44,7 @@ struct ChunkOutcome {
     sh_degree_used: u8,
 }
 
-/// The part of the arrays that a chunk of an input may fill.
+/// The slots that one chunk may fill.
 struct ChunkSlots<'a> {
     means: &'a mut [Vec3],
     unit_from_world: &'a mut [Mat3],
@@ -56,14 +65,24 @@ impl Gathering {
         Self { splats, filled: 0 }
     }
 
-    /// Decodes all of `file`, drops what cannot be used, and keeps the rest in file order, relative to `origin`.
+    /// What an input has brought before its first part.
+    pub fn nothing(&self) -> Gathered {
+        Gathered { range: self.filled..self.filled, dropped: Dropped::default(), sh_degree_used: 0 }
+    }
+
+    /// Decodes all of `source`, drops what cannot be used, and keeps the rest in file order, relative to `origin`.
     ///
     /// Each chunk fills its own slots from the front; afterwards the chunks are moved together, in place.
-    pub fn append(&mut self, file: &Ply, world_from_file: &WorldFromFile, origin: DVec3) -> Result<Gathered> {
+    pub fn append(
+        &mut self,
+        source: &dyn SplatSource,
+        world_from_file: &WorldFromFile,
+        origin: DVec3,
+    ) -> Result<Gathered> {
         let first = self.filled;
-        let range = first..first + file.count();
+        let range = first..first + source.count();
         let stride = self.splats.sh_stride();
-        let degrees = Degrees { file: file.sh_degree(), stored: self.splats.sh_degree };
+        let degrees = Degrees { file: source.sh_degree(), stored: self.splats.sh_degree };
         let outcomes: Vec<Result<ChunkOutcome>> = (
             self.splats.means[range.clone()].par_chunks_mut(CHUNK),
             self.splats.unit_from_world[range.clone()].par_chunks_mut(CHUNK),
@@ -75,7 +94,7 @@ impl Gathering {
             .map(|(chunk, (means, unit_from_world, opacities, sh))| {
                 let mut outcome = ChunkOutcome::default();
                 let mut slots = ChunkSlots { means, unit_from_world, opacities, sh };
-                file.for_each_in_chunk(chunk, |gaussian| {
+                source.for_each_in_chunk(chunk, &mut |gaussian| {
                     outcome.add(&mut slots, gaussian, world_from_file, origin, degrees);
                 })?;
                 Ok(outcome)

@@ -6,6 +6,7 @@ mod gather;
 mod ply;
 mod report;
 mod sanitize;
+mod source;
 
 use std::fs::File;
 use std::path::Path;
@@ -15,11 +16,11 @@ use memmap2::Mmap;
 
 use self::gather::Gathering;
 use self::gltf::MeshReport;
-use self::ply::Ply;
 use self::report::Statistics;
 use self::sanitize::WorldFromFile;
+use self::source::{SplatFile, SplatPart};
 use crate::error::{Error, Result};
-use crate::job::{MeshInput, SplatInput, Transform};
+use crate::job::{Frame, MeshInput, SplatInput};
 use crate::scene::bounds::{Bounds, robust_bounds};
 use crate::scene::{Meshes, Scene, SplatEncoding, Splats};
 
@@ -75,8 +76,10 @@ fn load_meshes_alone(inputs: &[MeshInput]) -> Result<(DVec3, Meshes, Vec<MeshRep
 
 /// What is in the splat file at `path`, understood with the format's defaults. Errors as in [`load_scene`].
 pub fn inspect_splats(path: &Path) -> Result<SplatReport> {
-    let input = SplatInput { path: path.into(), frame: None, transform: Transform::default(), encoding: None };
-    load_splats(&[input])?.reports.pop().ok_or_else(|| Error::invalid(path, "file", "nothing was loaded"))
+    load_splats(&[SplatInput::new(path)])?
+        .reports
+        .pop()
+        .ok_or_else(|| Error::invalid(path, "file", "nothing was loaded"))
 }
 
 /// All splat inputs, merged.
@@ -88,44 +91,68 @@ struct LoadedSplats {
     reports: Vec<SplatReport>,
 }
 
-fn load_splats(inputs: &[SplatInput]) -> Result<LoadedSplats> {
-    let encoding = common_encoding(inputs)?;
-    let mut opened = Vec::with_capacity(inputs.len());
-    for (i, input) in inputs.iter().enumerate() {
+/// An input's opened file, and where each of its parts goes.
+struct Opened<'a> {
+    input: &'a SplatInput,
+    file: SplatFile,
+    frame: Frame,
+    encoding: SplatEncoding,
+    world_from_parts: Vec<WorldFromFile>,
+}
+
+impl<'a> Opened<'a> {
+    /// Opens input number `i`.
+    fn new(i: usize, input: &'a SplatInput) -> Result<Self> {
         let file = open(&input.path)?;
-        let frame = input.frame.unwrap_or(ply::FRAME);
+        let frame = input.frame.unwrap_or(file.frame);
+        let encoding = input.encoding.unwrap_or(file.encoding);
         let field = format!("splats[{i}].transform");
-        let world_from_file = WorldFromFile::new(&field, frame, &input.transform, file.sh_degree())?;
-        opened.push((input, file, frame, world_from_file));
+        let world_from_part = |part: &SplatPart| {
+            let degree = part.source.sh_degree();
+            WorldFromFile::new(&field, frame, &input.transform, part.file_from_part, degree)
+        };
+        let world_from_parts = file.parts.iter().map(world_from_part).collect::<Result<_>>()?;
+        Ok(Self { input, file, frame, encoding, world_from_parts })
     }
-    let origin = match opened.first() {
-        Some((_, file, _, world_from_file)) => scene_origin(file, world_from_file)?,
-        None => DVec3::ZERO,
-    };
-    let count = opened.iter().map(|(_, file, ..)| file.count()).sum();
-    let stored_degree = opened.iter().map(|(_, file, ..)| file.sh_degree()).max().unwrap_or(0);
+
+    fn parts(&self) -> impl Iterator<Item = (&SplatPart, &WorldFromFile)> {
+        self.file.parts.iter().zip(&self.world_from_parts)
+    }
+}
+
+fn load_splats(inputs: &[SplatInput]) -> Result<LoadedSplats> {
+    let opened: Vec<Opened> =
+        inputs.iter().enumerate().map(|(i, input)| Opened::new(i, input)).collect::<Result<_>>()?;
+    let encoding = common_encoding(&opened)?;
+    let origin = opened.first().map_or(Ok(DVec3::ZERO), scene_origin)?;
+    let count = opened.iter().map(|opened| opened.file.count()).sum();
+    let stored_degree = opened.iter().map(|opened| opened.file.sh_degree()).max().unwrap_or(0);
     let mut gathering = Gathering::new(count, stored_degree);
     let mut gathered = Vec::with_capacity(opened.len());
-    for (_, file, _, world_from_file) in &opened {
-        gathered.push(gathering.append(file, world_from_file, origin)?);
+    for opened in &opened {
+        let mut whole = gathering.nothing();
+        for (part, world_from_part) in opened.parts() {
+            whole += gathering.append(&*part.source, world_from_part, origin)?;
+        }
+        gathered.push(whole);
     }
     let splats = gathering.finish(gathered.iter().map(|part| part.sh_degree_used).max().unwrap_or(0));
 
     let mut reports = Vec::with_capacity(opened.len());
-    for ((input, file, frame, _), part) in opened.iter().zip(gathered) {
+    for (Opened { input, file, frame, encoding, .. }, part) in opened.iter().zip(gathered) {
         let kept = part.range.len() as u64;
         let statistics = Statistics::of(&splats, part.range, origin).ok_or_else(|| {
             Error::invalid(&input.path, "all Gaussians", format!("none can be used: {:?}", part.dropped))
         })?;
         reports.push(SplatReport {
             path: input.path.clone(),
-            format: file.format(),
+            format: file.format.clone(),
             count: file.count() as u64,
             kept,
             dropped: part.dropped,
             sh_degree: file.sh_degree(),
             sh_degree_used: part.sh_degree_used,
-            encoding,
+            encoding: *encoding,
             frame: *frame,
             bounds: statistics.bounds,
             robust_bounds: statistics.robust_bounds,
@@ -137,17 +164,16 @@ fn load_splats(inputs: &[SplatInput]) -> Result<LoadedSplats> {
 }
 
 /// The one encoding of all inputs: they are blended together, before any conversion.
-fn common_encoding(inputs: &[SplatInput]) -> Result<SplatEncoding> {
-    let encoding = |input: &SplatInput| input.encoding.unwrap_or(ply::ENCODING);
-    let first = inputs.first().map(encoding).unwrap_or_default();
-    match inputs.iter().position(|input| encoding(input) != first) {
+fn common_encoding(opened: &[Opened]) -> Result<SplatEncoding> {
+    let first = opened.first().map(|opened| opened.encoding).unwrap_or_default();
+    match opened.iter().position(|opened| opened.encoding != first) {
         None => Ok(first),
         Some(i) => {
             let why = format!(
                 "{} differs from {} of {}; Gaussians are blended in their encoding, so that all splat inputs must share one",
-                serde_json::json!(encoding(&inputs[i])),
+                serde_json::json!(opened[i].encoding),
                 serde_json::json!(first),
-                inputs[0].path.display()
+                opened[0].input.path.display()
             );
             Err(Error::request(format!("splats[{i}].encoding"), why))
         }
@@ -156,18 +182,20 @@ fn common_encoding(inputs: &[SplatInput]) -> Result<SplatEncoding> {
 
 /// Zero, unless the first splat input lies so far from it that f32 world coordinates would lose detail: more than 64
 /// times its extent. Then its centre, rounded to a power of two, so that f32 offsets from it stay exact.
-fn scene_origin(file: &Ply, world_from_file: &WorldFromFile) -> Result<DVec3> {
-    /// As many chunks, evenly spaced, tell where a file lies.
+fn scene_origin(opened: &Opened) -> Result<DVec3> {
+    /// As many chunks of each part, evenly spaced, tell where a file lies.
     const CHUNKS: usize = 16;
-    let chunks = file.count().div_ceil(CHUNK);
     let mut means = Vec::new();
-    for chunk in (0..chunks).step_by(chunks.div_ceil(CHUNKS)) {
-        file.for_each_in_chunk(chunk, |gaussian| {
-            let mean = world_from_file.position(gaussian.mean);
-            if mean.abs().max_element() <= sanitize::LIMIT {
-                means.push(mean);
-            }
-        })?;
+    for (part, world_from_part) in opened.parts() {
+        let chunks = part.source.count().div_ceil(CHUNK);
+        for chunk in (0..chunks).step_by(chunks.div_ceil(CHUNKS).max(1)) {
+            part.source.for_each_in_chunk(chunk, &mut |gaussian| {
+                let mean = world_from_part.position(gaussian.mean);
+                if mean.abs().max_element() <= sanitize::LIMIT {
+                    means.push(mean);
+                }
+            })?;
+        }
     }
     // Relative to one of them: f32 would merge far points.
     let Some(&anchor) = means.first() else { return Ok(DVec3::ZERO) };
@@ -188,10 +216,10 @@ fn origin_for(bounds: Bounds) -> DVec3 {
 }
 
 /// Opens a splat file of whichever supported format its first bytes show.
-fn open(path: &Path) -> Result<Ply> {
+fn open(path: &Path) -> Result<SplatFile> {
     let bytes = map(path)?;
     if bytes.starts_with(ply::MAGIC) {
-        return Ply::open(path, bytes);
+        return ply::open(path, bytes);
     }
     const ADVICE: &str = "supported splat format: PLY as 3DGS training writes it";
     let known: [(&[u8], &str); 7] = [

@@ -16,6 +16,7 @@ use memmap2::Mmap;
 use self::header::{Element, Encoding, Header, Kind, Scalar};
 use super::CHUNK;
 use super::sanitize::FileGaussian;
+use super::source::{SplatFile, SplatPart, SplatSource};
 use crate::error::{Error, Result};
 use crate::job::Frame;
 use crate::scene::SplatEncoding;
@@ -24,15 +25,21 @@ use crate::scene::sh::{MAX_DEGREE, coefficient_count};
 /// What a PLY file begins with.
 pub(super) const MAGIC: &[u8] = b"ply";
 
-/// The frame that trainers write; the format declares none.
-pub(super) const FRAME: Frame = Frame::RDF;
-
-/// The encoding that trainers learn from photographs; the format declares none.
-pub(super) const ENCODING: SplatEncoding = SplatEncoding::SrgbDisplay;
+/// Opens a mapped PLY file. The format declares neither frame nor encoding: trainers write right-down-forward and learn
+/// their colours from photographs. Errors as in [`Ply::open`].
+pub(super) fn open(path: &Path, bytes: Mmap) -> Result<SplatFile> {
+    let ply = Ply::open(path, bytes)?;
+    Ok(SplatFile {
+        format: format!("PLY {}", ply.encoding.name()),
+        frame: Frame::RDF,
+        encoding: SplatEncoding::SrgbDisplay,
+        parts: SplatPart::whole(ply),
+    })
+}
 
 /// An opened PLY file whose header and size hold what a splat file must.
 #[derive(Debug)]
-pub(super) struct Ply {
+struct Ply {
     path: PathBuf,
     bytes: Mmap,
     encoding: Encoding,
@@ -69,7 +76,7 @@ impl Ply {
     /// # Errors
     /// [`Error::Invalid`] when the header is broken, the vertices are not Gaussians, or the file is too short;
     /// [`Error::Unsupported`] for compressed PLY and for vertices with lists.
-    pub fn open(path: &Path, bytes: Mmap) -> Result<Self> {
+    fn open(path: &Path, bytes: Mmap) -> Result<Self> {
         let header = Header::parse(path, &bytes)?;
         let place = |element: &&Element| element.name == "vertex";
         let Some(vertex) = header.elements.iter().find(place) else {
@@ -103,28 +110,18 @@ impl Ply {
         let rows = cursor.find_rows(count, &types).ok_or_else(|| too_short(vertex))?;
         Ok(Self { path: path.into(), encoding: header.encoding, count, types, columns, rows, bytes })
     }
+}
 
-    /// The format as reports name it.
-    pub fn format(&self) -> String {
-        format!("PLY {}", self.encoding.name())
-    }
-
-    /// How many Gaussians the file holds.
-    pub fn count(&self) -> usize {
+impl SplatSource for Ply {
+    fn count(&self) -> usize {
         self.count
     }
 
-    /// Degree of the spherical harmonics in the file, 0 to 4.
-    pub fn sh_degree(&self) -> u8 {
+    fn sh_degree(&self) -> u8 {
         self.columns.sh_degree
     }
 
-    /// Hands the Gaussians of chunk `chunk` (rows from `chunk * CHUNK`) to `sink` one by one, in file order. `sink` may
-    /// write to what it is given.
-    ///
-    /// # Errors
-    /// [`Error::Invalid`] when a text file has something else than a number there; names the row.
-    pub fn for_each_in_chunk(&self, chunk: usize, mut sink: impl FnMut(&mut FileGaussian)) -> Result<()> {
+    fn for_each_in_chunk(&self, chunk: usize, sink: &mut dyn FnMut(&mut FileGaussian)) -> Result<()> {
         let Range { start: first, end } = chunk * CHUNK..((chunk + 1) * CHUNK).min(self.count);
         let mut gaussian = FileGaussian::default();
         match &self.rows {

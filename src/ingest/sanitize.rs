@@ -1,6 +1,6 @@
 //! One Gaussian as a file gives it -> one Gaussian in the world, or the reason why it cannot be one.
 
-use glam::{DMat3, DQuat, DVec3, Mat3, Vec3};
+use glam::{DAffine3, DMat3, DQuat, DVec3, Mat3, Vec3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -105,17 +105,23 @@ pub(super) struct WorldFromFile {
 }
 
 impl WorldFromFile {
-    /// The map of an input with `frame` and `transform`, for coefficients of `sh_degree`.
+    /// The map of a part of an input with `frame` and `transform`, for coefficients of `sh_degree`.
     ///
     /// Colours turn with the orthogonal polar factor of the map's linear part: the rotation or mirror nearest to it. For
     /// uniform scale that is exact; under non-uniform scale the captured directions have no exact counterpart.
     ///
     /// # Errors
     /// [`Error::Request`] in `field` when the map is singular or not finite.
-    pub fn new(field: &str, frame: Frame, transform: &Transform, sh_degree: u8) -> Result<Self> {
-        let world_from_canonical = transform.world_from_file();
-        let linear = world_from_canonical.matrix3 * frame.canonical_from_file();
-        let translation = world_from_canonical.translation;
+    pub fn new(
+        field: &str,
+        frame: Frame,
+        transform: &Transform,
+        file_from_part: DAffine3,
+        sh_degree: u8,
+    ) -> Result<Self> {
+        let canonical_from_file = DAffine3::from_mat3(frame.canonical_from_file());
+        let world_from_part = transform.world_from_file() * canonical_from_file * file_from_part;
+        let DAffine3 { matrix3: linear, translation } = world_from_part;
         let determinant = linear.determinant();
         if !(linear.is_finite() && translation.is_finite() && determinant.is_normal()) {
             let why = "the transform must be finite, with a rotation that is not zero and no scale factor of 0";
@@ -255,7 +261,8 @@ mod tests {
         let rotation = DMat3::from_quat(file.rotation.normalize());
         for scale in [[1.0; 3], [2.0; 3], [-0.5, 0.5, 0.5], [3.0, 0.2, -1.0]] {
             for frame in [Frame::RUB, Frame::RDF] {
-                let map = WorldFromFile::new("transform", frame, &turned(scale), 0).expect("regular");
+                let map =
+                    WorldFromFile::new("transform", frame, &turned(scale), DAffine3::IDENTITY, 0).expect("regular");
                 let world = placed(&map, file.clone()).expect("kept");
                 for unit in [DVec3::X, DVec3::Y, DVec3::Z, DVec3::new(1.0, -2.0, 0.5)] {
                     let point = file.mean + rotation * (file.standard_deviations * unit);
@@ -272,7 +279,8 @@ mod tests {
         let file = gaussian();
         for scale in [[1.0; 3], [2.5; 3], [-2.0, 2.0, 2.0]] {
             for frame in [Frame::RUB, Frame::RDF, "luf".parse().expect("frame")] {
-                let map = WorldFromFile::new("transform", frame, &turned(scale), 4).expect("regular");
+                let map =
+                    WorldFromFile::new("transform", frame, &turned(scale), DAffine3::IDENTITY, 4).expect("regular");
                 let mut turned = file.clone();
                 map.place(&mut turned, DVec3::ZERO).expect("kept");
                 for direction in [Vec3::X, Vec3::Y, Vec3::Z, Vec3::new(0.6, -0.48, 0.64)] {
@@ -312,14 +320,16 @@ mod tests {
             Transform { rotation: [0.0; 4], ..Transform::default() },
             Transform { translation: [f64::INFINITY; 3], ..Transform::default() },
         ] {
-            let error = WorldFromFile::new("splats[0].transform", Frame::RDF, &transform, 0).expect_err("singular");
+            let error = WorldFromFile::new("splats[0].transform", Frame::RDF, &transform, DAffine3::IDENTITY, 0)
+                .expect_err("singular");
             assert!(matches!(error, Error::Request { .. }), "{error}");
         }
     }
 
     #[test]
     fn each_defect_is_dropped_for_its_own_reason() {
-        let map = WorldFromFile::new("transform", Frame::RDF, &Transform::default(), 1).expect("regular");
+        let map =
+            WorldFromFile::new("transform", Frame::RDF, &Transform::default(), DAffine3::IDENTITY, 1).expect("regular");
         type Spoil = fn(&mut FileGaussian);
         let defects: [(Reason, Spoil); 12] = [
             (Reason::NonFinite, |g| g.mean.y = f64::NAN),
@@ -344,7 +354,8 @@ mod tests {
 
     #[test]
     fn thin_far_and_opaque_gaussians_are_kept() {
-        let map = WorldFromFile::new("transform", Frame::RDF, &Transform::default(), 1).expect("regular");
+        let map =
+            WorldFromFile::new("transform", Frame::RDF, &Transform::default(), DAffine3::IDENTITY, 1).expect("regular");
         let mut extreme = gaussian();
         extreme.standard_deviations = DVec3::new(1e-12, 1.0, 1e-7);
         extreme.mean = DVec3::new(1e9, 0.0, 0.0);
