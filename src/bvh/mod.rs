@@ -33,9 +33,11 @@ pub struct WideNode {
     /// Upper corners; negative infinity where there is no child.
     pub max: [[f32; WIDTH]; 3],
     /// Node or primitive of each child.
-    index: [u32; WIDTH],
-    /// What each child is.
-    kind: [Kind; WIDTH],
+    pub index: [u32; WIDTH],
+    /// Bit by bit, which children are nodes.
+    pub nodes: u8,
+    /// Which are Gaussians. What is neither is a triangle.
+    pub gaussians: u8,
 }
 
 /// What is under one lane of a [`WideNode`].
@@ -49,28 +51,23 @@ pub enum Child {
     Triangle(u32),
 }
 
-#[derive(Debug, Clone, Copy)]
-enum Kind {
-    Node,
-    Gaussian,
-    Triangle,
-}
-
 impl WideNode {
     const EMPTY: Self = Self {
         min: [[f32::INFINITY; WIDTH]; 3],
         max: [[f32::NEG_INFINITY; WIDTH]; 3],
         index: [0; WIDTH],
-        kind: [Kind::Node; WIDTH],
+        nodes: 0,
+        gaussians: 0,
     };
 
     /// The child in `lane`. Meaningful only where the lane's box is not empty.
     #[inline]
     pub fn child(&self, lane: usize) -> Child {
-        match self.kind[lane] {
-            Kind::Node => Child::Node(self.index[lane]),
-            Kind::Gaussian => Child::Gaussian(self.index[lane]),
-            Kind::Triangle => Child::Triangle(self.index[lane]),
+        let index = self.index[lane];
+        match (self.nodes >> lane & 1, self.gaussians >> lane & 1) {
+            (1, _) => Child::Node(index),
+            (_, 1) => Child::Gaussian(index),
+            _ => Child::Triangle(index),
         }
     }
 
@@ -86,10 +83,18 @@ impl WideNode {
             self.min[axis][lane] = child_box.min[axis];
             self.max[axis][lane] = child_box.max[axis];
         }
-        (self.index[lane], self.kind[lane]) = match child {
-            Child::Node(index) => (index, Kind::Node),
-            Child::Gaussian(index) => (index, Kind::Gaussian),
-            Child::Triangle(index) => (index, Kind::Triangle),
+        let bit = 1 << lane;
+        (self.nodes, self.gaussians) = (self.nodes & !bit, self.gaussians & !bit);
+        self.index[lane] = match child {
+            Child::Node(index) => {
+                self.nodes |= bit;
+                index
+            }
+            Child::Gaussian(index) => {
+                self.gaussians |= bit;
+                index
+            }
+            Child::Triangle(index) => index,
         };
     }
 }

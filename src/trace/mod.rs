@@ -1,5 +1,6 @@
 //! Radiance along rays: one model, three tracers.
 
+mod batch;
 pub mod beam;
 pub mod composite;
 pub mod cube;

@@ -1,4 +1,4 @@
-//! 4 x 4 texels: contributions wait here until their order is settled, and are blended in exact order per ray.
+//! A square of texels: contributions wait here until their order is settled, and are blended in exact order per ray.
 //!
 //! The order of two contributions may differ from ray to ray, and arriving in nearly the right order is not enough (it
 //! errs by up to half the range of a colour on captured scenes). Instead of moving entries about lane by lane, which
@@ -19,16 +19,24 @@
 // index; the four gathers per entry alone cost more than evaluating the response. Multiplying the weights of every pair
 // whose key ranges overlap: exact too, but layers of a wall all overlap and a block paid 20 pairs per entry.
 
+use std::collections::VecDeque;
+
 use glam::{DVec3, Vec3};
 use pulp::Simd;
 
 use crate::trace::{Radiance, Tile};
 
-/// Texels along an edge of a block.
-pub(super) const BLOCK_EDGE: u32 = 4;
+/// Lanes of a block of 8 x 8 texels: for large faces, where most Gaussians fill several blocks, so that what is done once
+/// per entry is shared by many rays.
+pub(super) const WIDE: usize = 64;
 
-/// Texels in a block.
-pub(super) const LANES: usize = (BLOCK_EDGE * BLOCK_EDGE) as usize;
+/// Lanes of a block of 4 x 4 texels: for small faces, where larger blocks would leave most lanes idle.
+pub(super) const NARROW: usize = 16;
+
+/// Texels along the edge of a block with so many lanes.
+pub(super) const fn edge(lanes: usize) -> u32 {
+    if lanes == WIDE { 8 } else { 4 }
+}
 
 /// Transmittance stops falling here. Nothing this faint is seen, and denormal numbers, which cost a hundred times more
 /// than others, never arise.
@@ -41,14 +49,14 @@ const MAX_OPEN: usize = 1024;
 /// A value per texel of a block, aligned to the widest vector.
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
-pub(super) struct Lanes(pub [f32; LANES]);
+pub(super) struct Lanes<const N: usize>(pub [f32; N]);
 
-impl Lanes {
+impl<const N: usize> Lanes<N> {
     pub const fn splat(value: f32) -> Self {
-        Self([value; LANES])
+        Self([value; N])
     }
 
-    /// Vector `v` of `LANES / S::F32_LANES`.
+    /// Vector `v` of `N / S::F32_LANES`.
     #[inline(always)]
     pub fn get<S: Simd>(&self, v: usize) -> S::f32s {
         S::as_simd_f32s(&self.0).0[v]
@@ -62,27 +70,30 @@ impl Lanes {
 
 /// One candidate's contributions to a block.
 #[derive(Clone, Copy)]
-pub(super) struct Entry {
+pub(super) struct Entry<const N: usize> {
     /// Sort key; negative infinity in lanes that it does not contribute to.
-    pub key: Lanes,
+    pub key: Lanes<N>,
     /// Depth of the contribution along the face's look axis.
-    pub depth: Lanes,
+    pub depth: Lanes<N>,
     /// 0 in lanes that it does not contribute to.
-    pub alpha: Lanes,
+    pub alpha: Lanes<N>,
     /// Transmittance of all that precedes it in each lane.
-    before: Lanes,
+    before: Lanes<N>,
     /// Largest key of all earlier arrivals.
-    latest: Lanes,
+    latest: Lanes<N>,
+    /// Largest key.
+    pub key_max: f32,
     pub colour: Colour,
 }
 
-impl Entry {
+impl<const N: usize> Entry<N> {
     pub const EMPTY: Self = Self {
         key: Lanes::splat(f32::NEG_INFINITY),
         depth: Lanes::splat(0.0),
         alpha: Lanes::splat(0.0),
         before: Lanes::splat(0.0),
         latest: Lanes::splat(0.0),
+        key_max: f32::NEG_INFINITY,
         colour: Colour::Splat([0.0; 3]),
     };
 }
@@ -98,42 +109,42 @@ pub(super) enum Colour {
 }
 
 /// What a block's rays have gathered so far.
-pub(super) struct Block {
+pub(super) struct Block<const N: usize> {
     /// Texel positions from the tile's corner, at texel centres.
-    pub x: Lanes,
-    pub y: Lanes,
+    pub x: Lanes<N>,
+    pub y: Lanes<N>,
     /// Length of the direction whose look component is 1: metres per unit of depth.
-    pub metres_per_depth: Lanes,
+    pub metres_per_depth: Lanes<N>,
     /// Depth from which on contributions count; infinite in lanes whose ray has ended.
-    pub near_depth: Lanes,
-    splat_sum: [Lanes; 3],
-    splat_weight: Lanes,
-    surface_sum: [Lanes; 3],
-    depth_sum: Lanes,
+    pub near_depth: Lanes<N>,
+    splat_sum: [Lanes<N>; 3],
+    splat_weight: Lanes<N>,
+    surface_sum: [Lanes<N>; 3],
+    depth_sum: Lanes<N>,
     /// Of what is blended.
-    transmittance: Lanes,
+    transmittance: Lanes<N>,
     /// Of what has arrived.
-    behind_all: Lanes,
+    behind_all: Lanes<N>,
     /// Largest key that has arrived.
-    latest: Lanes,
+    latest: Lanes<N>,
     /// Unfinished contributions; while there are any.
-    desk: Option<Box<Desk>>,
+    desk: Option<Box<Desk<N>>>,
     pub state: State,
 }
 
 /// Where a block keeps its unfinished contributions. Blocks take turns with a few desks, which stay in the fastest
 /// cache that way.
 #[derive(Default)]
-pub(super) struct Desk {
-    entries: Vec<Entry>,
+pub(super) struct Desk<const N: usize> {
+    entries: Vec<Entry<N>>,
     /// Slots of `entries`: those that no entry uses, those that wait for their turn to arrive (under their least key's
-    /// bits and their candidate's index, in falling order), and those that have arrived, in that order.
+    /// bits and their candidate's index, in that order), and those that have arrived, in that order.
     free: Vec<u32>,
-    waiting: Vec<(u64, u32)>,
+    waiting: VecDeque<(u64, u32)>,
     open: Vec<u32>,
 }
 
-impl Desk {
+impl<const N: usize> Desk<N> {
     /// A slot to make an entry in. Give it back with [`Desk::wait`] or [`Desk::release`].
     #[inline(always)]
     pub fn slot(&mut self) -> u32 {
@@ -144,7 +155,7 @@ impl Desk {
     }
 
     #[inline(always)]
-    pub fn entry(&mut self, slot: u32) -> &mut Entry {
+    pub fn entry(&mut self, slot: u32) -> &mut Entry<N> {
         &mut self.entries[slot as usize]
     }
 
@@ -160,7 +171,11 @@ impl Desk {
     pub fn wait(&mut self, slot: u32, key_min: f32, index: u32) {
         // Keys are not negative, so their bit patterns order as they do.
         let turn = u64::from(key_min.to_bits()) << 32 | u64::from(index);
-        let place = self.waiting.partition_point(|&(other, _)| other > turn);
+        // Most come last, or nearly.
+        let mut place = self.waiting.len();
+        while place > 0 && self.waiting[place - 1].0 > turn {
+            place -= 1;
+        }
         self.waiting.insert(place, (turn, slot));
     }
 
@@ -180,11 +195,11 @@ pub(super) enum State {
     Overflowed,
 }
 
-impl Block {
+impl<const N: usize> Block<N> {
     /// The block whose first texel is (x, y) of the tile.
     pub fn new(tile: &Tile, x: u32, y: u32, t_near: f32) -> Self {
-        let lane_x = Lanes(std::array::from_fn(|lane| x as f32 + (lane as u32 % BLOCK_EDGE) as f32 + 0.5));
-        let lane_y = Lanes(std::array::from_fn(|lane| y as f32 + (lane as u32 / BLOCK_EDGE) as f32 + 0.5));
+        let lane_x = Lanes(std::array::from_fn(|lane| x as f32 + (lane as u32 % edge(N)) as f32 + 0.5));
+        let lane_y = Lanes(std::array::from_fn(|lane| y as f32 + (lane as u32 / edge(N)) as f32 + 0.5));
         // Lanes beyond the tile's edge have ended before they begin.
         let inside = |lane: usize| lane_x.0[lane] < tile.width as f32 && lane_y.0[lane] < tile.height as f32;
         let mut block = Self {
@@ -202,12 +217,17 @@ impl Block {
             desk: None,
             state: State::Live,
         };
-        for lane in 0..LANES {
+        for lane in 0..N {
             let metres_per_depth = block.direction(tile, lane).length() as f32;
             block.metres_per_depth.0[lane] = metres_per_depth;
             block.near_depth.0[lane] = if inside(lane) { t_near / metres_per_depth } else { f32::INFINITY };
         }
         block
+    }
+
+    /// Whether any of the block's texels belongs to `tile`.
+    pub fn is_inside(&self, tile: &Tile) -> bool {
+        self.x.0[0] < tile.width as f32 && self.y.0[0] < tile.height as f32
     }
 
     /// Direction through a lane's texel; its look component is 1.
@@ -229,13 +249,13 @@ impl Block {
 
     /// The block's desk, one from the `pool`, or a new one.
     #[inline(always)]
-    pub fn take_desk(&mut self, pool: &mut Vec<Box<Desk>>) -> Box<Desk> {
+    pub fn take_desk(&mut self, pool: &mut Vec<Box<Desk<N>>>) -> Box<Desk<N>> {
         self.desk.take().or_else(|| pool.pop()).unwrap_or_default()
     }
 
     /// Keeps the desk while something is unfinished.
     #[inline(always)]
-    pub fn return_desk(&mut self, mut desk: Box<Desk>, pool: &mut Vec<Box<Desk>>) {
+    pub fn return_desk(&mut self, mut desk: Box<Desk<N>>, pool: &mut Vec<Box<Desk<N>>>) {
         if self.state == State::Live && !(desk.open.is_empty() && desk.waiting.is_empty()) {
             self.desk = Some(desk);
         } else {
@@ -247,15 +267,22 @@ impl Block {
     /// Lets arrive and blends all whose turn has come, when every key still to be waited for is at least `bound`; ends
     /// the block when every ray has ended.
     #[inline(always)]
-    pub fn advance<S: Simd>(&mut self, simd: S, desk: &mut Desk, bound: f32, cutoff: f32, lane_colours: &[[Lanes; 3]]) {
+    pub fn advance<S: Simd>(
+        &mut self,
+        simd: S,
+        desk: &mut Desk<N>,
+        bound: f32,
+        cutoff: f32,
+        lane_colours: &[[Lanes<N>; 3]],
+    ) {
         let limit = u64::from(bound.to_bits()) << 32;
         let mut least = bound;
-        while let Some(&(turn, slot)) = desk.waiting.last() {
+        while let Some(&(turn, slot)) = desk.waiting.front() {
             if turn >= limit {
                 least = f32::from_bits((turn >> 32) as u32).min(bound);
                 break;
             }
-            desk.waiting.pop();
+            desk.waiting.pop_front();
             self.arrive(simd, desk, slot);
         }
         self.settle(simd, desk, least, cutoff, lane_colours);
@@ -266,14 +293,18 @@ impl Block {
 
     /// Finds the transmittance before an entry, and dims what it precedes.
     #[inline(always)]
-    fn arrive<S: Simd>(&mut self, simd: S, desk: &mut Desk, slot: u32) {
+    fn arrive<S: Simd>(&mut self, simd: S, desk: &mut Desk<N>, slot: u32) {
         let Desk { entries, open, .. } = desk;
         let faintest = simd.splat_f32s(FAINTEST);
-        for v in 0..LANES / S::F32_LANES {
+        for v in 0..N / S::F32_LANES {
             let entry = &entries[slot as usize];
             let (own_key, alpha) = (entry.key.get::<S>(v), entry.alpha.get::<S>(v));
             let passes = simd.sub_f32s(simd.splat_f32s(1.0), alpha);
             let contributes = simd.greater_than_f32s(alpha, simd.splat_f32s(0.0));
+            if simd.first_true_m32s(contributes) >= S::F32_LANES {
+                entries[slot as usize].latest.set::<S>(v, self.latest.get::<S>(v));
+                continue;
+            }
             // Lanes that it does not contribute to precede nothing.
             let key = simd.select_f32s(contributes, own_key, simd.splat_f32s(f32::INFINITY));
             let behind_all = self.behind_all.get::<S>(v);
@@ -305,15 +336,18 @@ impl Block {
 
     /// Blends the arrived entries whose keys all lie below `bound`, the least key that may still arrive.
     #[inline(always)]
-    fn settle<S: Simd>(&mut self, simd: S, desk: &mut Desk, bound: f32, cutoff: f32, lane_colours: &[[Lanes; 3]]) {
-        let end = simd.splat_f32s(bound);
+    fn settle<S: Simd>(
+        &mut self,
+        simd: S,
+        desk: &mut Desk<N>,
+        bound: f32,
+        cutoff: f32,
+        lane_colours: &[[Lanes<N>; 3]],
+    ) {
         let mut kept = 0;
         for k in 0..desk.open.len() {
             let slot = desk.open[k];
-            let key = &desk.entries[slot as usize].key;
-            let finished = (0..LANES / S::F32_LANES)
-                .all(|v| simd.first_true_m32s(simd.greater_than_or_equal_f32s(key.get::<S>(v), end)) >= S::F32_LANES);
-            if finished {
+            if desk.entries[slot as usize].key_max < bound {
                 self.blend(simd, &desk.entries[slot as usize], cutoff, lane_colours);
                 desk.free.push(slot);
             } else {
@@ -336,12 +370,16 @@ impl Block {
 
     /// Adds a finished entry. A ray takes nothing more once the transmittance before is below the cut-off.
     #[inline(always)]
-    fn blend<S: Simd>(&mut self, simd: S, entry: &Entry, cutoff: f32, lane_colours: &[[Lanes; 3]]) {
+    fn blend<S: Simd>(&mut self, simd: S, entry: &Entry<N>, cutoff: f32, lane_colours: &[[Lanes<N>; 3]]) {
         let (cutoff, zero) = (simd.splat_f32s(cutoff), simd.splat_f32s(0.0));
-        for v in 0..LANES / S::F32_LANES {
+        for v in 0..N / S::F32_LANES {
+            let contributed = entry.alpha.get::<S>(v);
+            if simd.first_true_m32s(simd.greater_than_f32s(contributed, zero)) >= S::F32_LANES {
+                continue;
+            }
             let before = entry.before.get::<S>(v);
             let reached = simd.greater_than_or_equal_f32s(before, cutoff);
-            let alpha = simd.select_f32s(reached, entry.alpha.get::<S>(v), zero);
+            let alpha = simd.select_f32s(reached, contributed, zero);
             let weight = simd.mul_f32s(alpha, before);
             let passes = simd.sub_f32s(simd.splat_f32s(1.0), alpha);
             let transmittance = simd.mul_f32s(self.transmittance.get::<S>(v), passes);
@@ -350,26 +388,26 @@ impl Block {
             let near = simd.select_f32s(ended, simd.splat_f32s(f32::INFINITY), self.near_depth.get::<S>(v));
             self.transmittance.set::<S>(v, transmittance);
             self.near_depth.set::<S>(v, near);
-            let add = |sum: &mut Lanes, value: S::f32s| {
-                sum.set::<S>(v, simd.mul_add_e_f32s(weight, value, sum.get::<S>(v)));
-            };
-            add(&mut self.depth_sum, entry.depth.get::<S>(v));
+            add_weighted(simd, &mut self.depth_sum, v, weight, entry.depth.get::<S>(v));
             match entry.colour {
                 Colour::Splat(colour) => {
-                    for (sum, value) in self.splat_sum.iter_mut().zip(colour) {
-                        add(sum, simd.splat_f32s(value));
+                    for channel in 0..3 {
+                        let value = simd.splat_f32s(colour[channel]);
+                        add_weighted(simd, &mut self.splat_sum[channel], v, weight, value);
                     }
-                    add(&mut self.splat_weight, simd.splat_f32s(1.0));
+                    add_weighted(simd, &mut self.splat_weight, v, weight, simd.splat_f32s(1.0));
                 }
                 Colour::SplatLanes(colours) => {
-                    for (sum, value) in self.splat_sum.iter_mut().zip(&lane_colours[colours as usize]) {
-                        add(sum, value.get::<S>(v));
+                    for channel in 0..3 {
+                        let value = lane_colours[colours as usize][channel].get::<S>(v);
+                        add_weighted(simd, &mut self.splat_sum[channel], v, weight, value);
                     }
-                    add(&mut self.splat_weight, simd.splat_f32s(1.0));
+                    add_weighted(simd, &mut self.splat_weight, v, weight, simd.splat_f32s(1.0));
                 }
                 Colour::SurfaceLanes(colours) => {
-                    for (sum, value) in self.surface_sum.iter_mut().zip(&lane_colours[colours as usize]) {
-                        add(sum, value.get::<S>(v));
+                    for channel in 0..3 {
+                        let value = lane_colours[colours as usize][channel].get::<S>(v);
+                        add_weighted(simd, &mut self.surface_sum[channel], v, weight, value);
                     }
                 }
             }
@@ -379,9 +417,15 @@ impl Block {
     #[inline(always)]
     fn all_ended<S: Simd>(&self, simd: S, cutoff: f32) -> bool {
         let end = simd.splat_f32s(cutoff.max(2.0 * FAINTEST));
-        (0..LANES / S::F32_LANES).all(|v| {
+        (0..N / S::F32_LANES).all(|v| {
             let alive = simd.greater_than_or_equal_f32s(self.transmittance.get::<S>(v), end);
             simd.first_true_m32s(alive) >= S::F32_LANES
         })
     }
+}
+
+/// `sum += weight * value` in vector `v`.
+#[inline(always)]
+fn add_weighted<S: Simd, const N: usize>(simd: S, sum: &mut Lanes<N>, v: usize, weight: S::f32s, value: S::f32s) {
+    sum.set::<S>(v, simd.mul_add_e_f32s(weight, value, sum.get::<S>(v)));
 }

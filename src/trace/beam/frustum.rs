@@ -1,11 +1,10 @@
-//! Which of a node's children a tile sees, in which of its cells, and from which key on.
+//! Which of a node's children a tile sees, in which of its blocks, and from which key on.
 
 use glam::DVec3;
 
-use super::CELL_EDGE;
 use crate::bvh::{Viewpoint, WIDTH, WideNode};
 use crate::job::Order;
-use crate::trace::Tile;
+use crate::trace::{Face, Tile};
 
 /// Image coordinates in f32 are good to 1e-3 texels on faces up to 8192; boxes are widened by this many.
 const TEXEL_SLACK: f32 = 1e-2;
@@ -13,17 +12,36 @@ const TEXEL_SLACK: f32 = 1e-2;
 /// Relative slack of lower bounds: depths in f32 carry a few roundings of 6e-8.
 const KEY_SLACK: f32 = 1e-6;
 
-/// A tile as a frustum from the probe, in the face's own coordinates: x right, y down, z along the look axis.
+/// Per axis of a face (right, down, look): which world axis it is, and 1 or -1 for its direction.
 ///
 /// The face's axes are signed world axes, so a world box stays a box.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct FaceAxes(pub [(usize, f64); 3]);
+
+impl FaceAxes {
+    pub fn new(face: Face) -> Self {
+        let [right, up, look] = face.axes();
+        Self([right, -up, look].map(|direction| {
+            let world = (0..3).find(|&axis| direction[axis] != 0.0).unwrap_or(0);
+            (world, direction[world])
+        }))
+    }
+
+    pub fn face_from_world(&self, world: DVec3) -> DVec3 {
+        DVec3::from_array(self.0.map(|(axis, sign)| world[axis] * sign))
+    }
+}
+
+/// A tile as a frustum from the probe, in face coordinates.
 pub(super) struct Frustum {
-    /// Per face axis: the world axis, and whether it runs the other way.
-    axes: [(usize, bool); 3],
+    axes: FaceAxes,
     viewpoint: Viewpoint,
     /// Texels per unit of x / z, and the image centre in texels from the tile's corner.
     scale: f32,
     centre: [f32; 2],
-    size: [f32; 2],
+    /// Last column and row.
+    last: [f32; 2],
+    block_edge: u32,
     order: Order,
 }
 
@@ -31,84 +49,99 @@ pub(super) struct Frustum {
 pub(super) struct Seen {
     /// Lower bounds on the sort keys below each child.
     pub keys: [f32; WIDTH],
-    /// Cells of the tile that each child's box may touch; 0 for none.
-    pub cells: [u64; WIDTH],
+    /// Blocks of the tile that each child's box may touch; 0 for none.
+    pub blocks: [u64; WIDTH],
 }
 
+type Boxes = [f32; WIDTH];
+
 impl Frustum {
-    pub fn new(origin: DVec3, tile: &Tile, order: Order) -> Self {
-        let [right, up, look] = tile.face.axes();
-        let axis = |direction: DVec3| {
-            let world = (0..3).find(|&a| direction[a] != 0.0).unwrap_or(0);
-            (world, direction[world] < 0.0)
-        };
+    pub fn new(origin: DVec3, tile: &Tile, block_edge: u32, order: Order) -> Self {
         let half = f64::from(tile.face_size) / 2.0;
         Self {
-            axes: [axis(right), axis(-up), axis(look)],
+            axes: FaceAxes::new(tile.face),
             viewpoint: Viewpoint::new(origin),
             scale: half as f32,
             centre: [(half - f64::from(tile.x)) as f32, (half - f64::from(tile.y)) as f32],
-            size: [tile.width as f32, tile.height as f32],
+            last: [(tile.width - 1) as f32, (tile.height - 1) as f32],
+            block_edge,
             order,
         }
     }
 
-    #[inline]
+    #[inline(always)]
     pub fn meet(&self, node: &WideNode) -> Seen {
-        let [x, y, z] = [0, 1, 2].map(|axis| self.extent(node, axis));
-        let mut seen = Seen { keys: [0.0; WIDTH], cells: [0; WIDTH] };
-        for lane in 0..WIDTH {
-            let (near, far) = (z[0][lane].max(0.0), z[1][lane]);
-            // Absent children have inverted boxes; what lies behind the face's plane is seen by other faces.
-            if !(far > 0.0) || node.min[0][lane] > node.max[0][lane] {
-                continue;
+        let [near, far] = self.extent(node, 2);
+        let (mut key, mut seen) = ([0.0; WIDTH], [true; WIDTH]);
+        for k in 0..WIDTH {
+            key[k] = if near[k] > 0.0 { near[k] } else { 0.0 };
+            // What lies behind the face's plane is seen by other faces. An absent child's box ends at -inf.
+            seen[k] = far[k] > 0.0;
+        }
+        let columns = self.texels(node, 0, &key, &far);
+        let rows = self.texels(node, 1, &key, &far);
+        let mut blocks = [0; WIDTH];
+        for k in 0..WIDTH {
+            if seen[k] & (columns[0][k] <= columns[1][k]) & (rows[0][k] <= rows[1][k]) {
+                let block = |texel: f32| texel as u32 / self.block_edge;
+                let ends = |texels: &[Boxes; 2]| [block(texels[0][k]), block(texels[1][k])];
+                blocks[k] = block_mask(ends(&columns), ends(&rows));
             }
-            let columns = self.texels(0, x[0][lane], x[1][lane], near, far);
-            let rows = self.texels(1, y[0][lane], y[1][lane], near, far);
-            seen.cells[lane] = cell_mask(columns, rows, self.size);
-            seen.keys[lane] = near * (1.0 - KEY_SLACK);
         }
-        if self.order == Order::CameraDistance {
-            seen.keys = self.viewpoint.distances(node).map(|distance| distance * (1.0 - KEY_SLACK));
-        }
-        seen
+        let keys = match self.order {
+            Order::RayHitDistance => key.map(|near| near * (1.0 - KEY_SLACK)),
+            Order::CameraDistance => self.viewpoint.distances(node).map(|distance| distance * (1.0 - KEY_SLACK)),
+        };
+        Seen { keys, blocks }
     }
 
     /// The children's extents along a face axis, from the probe: lower ends, upper ends.
-    #[inline]
-    fn extent(&self, node: &WideNode, face_axis: usize) -> [[f32; WIDTH]; 2] {
-        let (axis, flipped) = self.axes[face_axis];
-        let low = node.min[axis].map(|corner| corner - self.viewpoint.high[axis]);
-        let high = node.max[axis].map(|corner| corner - self.viewpoint.low[axis]);
-        if flipped { [high.map(|x| -x), low.map(|x| -x)] } else { [low, high] }
+    #[inline(always)]
+    fn extent(&self, node: &WideNode, face_axis: usize) -> [Boxes; 2] {
+        let (axis, sign) = self.axes.0[face_axis];
+        let (from_low, from_high) = (self.viewpoint.low[axis], self.viewpoint.high[axis]);
+        let (mut low, mut high) = ([0.0; WIDTH], [0.0; WIDTH]);
+        for k in 0..WIDTH {
+            low[k] = node.min[axis][k] - from_high;
+            high[k] = node.max[axis][k] - from_low;
+        }
+        if sign > 0.0 {
+            return [low, high];
+        }
+        for k in 0..WIDTH {
+            (low[k], high[k]) = (-high[k], -low[k]);
+        }
+        [low, high]
     }
 
-    /// The texels, from the tile's corner, between which a box from `low` to `high` across and `near` to `far` deep
-    /// projects.
-    #[inline]
-    fn texels(&self, image_axis: usize, low: f32, high: f32, near: f32, far: f32) -> [f32; 2] {
-        let left = low / if low < 0.0 { near } else { far };
-        let right = high / if high > 0.0 { near } else { far };
-        [
-            left * self.scale + self.centre[image_axis] - TEXEL_SLACK,
-            right * self.scale + self.centre[image_axis] + TEXEL_SLACK,
-        ]
+    /// First and last column or row of the tile whose centre the children may cover, given how near and far they reach;
+    /// the first is the larger where there is none.
+    #[inline(always)]
+    fn texels(&self, node: &WideNode, image_axis: usize, near: &Boxes, far: &Boxes) -> [Boxes; 2] {
+        let [low, high] = self.extent(node, image_axis);
+        let (centre, last) = (self.centre[image_axis] - 0.5, self.last[image_axis]);
+        let (mut first, mut final_) = ([0.0; WIDTH], [0.0; WIDTH]);
+        for k in 0..WIDTH {
+            let left = low[k] / if low[k] < 0.0 { near[k] } else { far[k] };
+            let texel = (left * self.scale + (centre - TEXEL_SLACK)).ceil();
+            // In this form, NaN (0 / 0: the probe on the box's side) gives the tile's own end.
+            first[k] = if texel > 0.0 { texel } else { 0.0 };
+        }
+        for k in 0..WIDTH {
+            let right = high[k] / if high[k] > 0.0 { near[k] } else { far[k] };
+            let texel = (right * self.scale + (centre + TEXEL_SLACK)).floor();
+            final_[k] = if texel < last { texel } else { last };
+        }
+        [first, final_]
     }
 }
 
-/// The cells between two columns and two rows of texels (as positions, inclusive); 0 when they miss the tile.
-#[inline]
-pub(super) fn cell_mask(columns: [f32; 2], rows: [f32; 2], size: [f32; 2]) -> u64 {
-    if !(columns[1] >= 0.0 && columns[0] <= size[0] && rows[1] >= 0.0 && rows[0] <= size[1]) {
-        return 0;
-    }
-    // `as` saturates at 0 and takes infinities to the ends.
-    let cell = |texel: f32| (texel * (1.0 / CELL_EDGE as f32)).min(7.0) as u32;
-    let (first, last) = (cell(columns[0]), cell(columns[1]));
-    let row_bits = (0xffu64 >> (7 - last)) & (0xff << first);
-    let (top, bottom) = (cell(rows[0]), cell(rows[1]));
+/// The blocks between two columns and two rows of a tile's 8 x 8, inclusive.
+#[inline(always)]
+pub(super) fn block_mask(columns: [u32; 2], rows: [u32; 2]) -> u64 {
+    let row_bits = (0xffu64 >> (7 - columns[1])) & (0xff << columns[0]);
     let all_rows = row_bits * 0x0101_0101_0101_0101;
-    all_rows & (u64::MAX << (8 * top)) & (u64::MAX >> (8 * (7 - bottom)))
+    all_rows & (u64::MAX << (8 * rows[0])) & (u64::MAX >> (8 * (7 - rows[1])))
 }
 
 #[cfg(test)]
@@ -116,13 +149,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_cell_mask_holds_exactly_the_cells_between_its_corners() {
-        let size = [64.0, 64.0];
-        assert_eq!(cell_mask([0.0, 0.0], [0.0, 0.0], size), 1);
-        assert_eq!(cell_mask([60.0, 63.0], [0.0, 7.9], size), 1 << 7);
-        assert_eq!(cell_mask([0.0, 63.0], [8.0, 15.0], size), 0xff00);
-        assert_eq!(cell_mask([f32::NEG_INFINITY, f32::INFINITY], [f32::NEG_INFINITY, f32::INFINITY], size), u64::MAX);
-        assert_eq!(cell_mask([-9.0, -1.0], [0.0, 63.0], size), 0);
-        assert_eq!(cell_mask([65.0, 70.0], [0.0, 63.0], size), 0);
+    fn a_block_mask_holds_exactly_the_blocks_between_its_corners() {
+        assert_eq!(block_mask([0, 0], [0, 0]), 1);
+        assert_eq!(block_mask([7, 7], [0, 0]), 1 << 7);
+        assert_eq!(block_mask([0, 7], [1, 1]), 0xff00);
+        assert_eq!(block_mask([0, 7], [0, 7]), u64::MAX);
+        assert_eq!(block_mask([2, 3], [6, 7]), 0x0c0c_0000_0000_0000);
     }
 }

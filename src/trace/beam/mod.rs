@@ -1,37 +1,33 @@
 //! All rays of a tile at once: the ray tracer's own values at a rasteriser's cost.
 //!
-//! A tile's frustum descends the tree best-first ([`frustum`]), so that Gaussians and triangles arrive in the order of a
-//! lower bound on their sort keys. They are projected once per tile ([`project`]), gathered in chunks, dealt to the
-//! 4 x 4 texel blocks they touch, and evaluated and blended there in SIMD lanes, in exact order per ray ([`block`]).
-//! Cells of the tile whose rays have all ended take no part in the descent any more: what stands behind a wall is never
-//! projected.
+//! A tile's frustum descends the tree in windows of the sort key, nearest first ([`frustum`], [`walk`]). What begins in a
+//! window is projected once per tile ([`project`]), dealt to the blocks of texels it touches ([`shade`]), and evaluated
+//! and blended there in SIMD lanes, in exact order per ray ([`block`]). Blocks whose rays have all ended take no part in
+//! the descent any more: what stands behind a wall is never projected.
 
 mod block;
 mod frustum;
 mod project;
 mod shade;
-
-use std::cmp::Reverse;
-use std::collections::BinaryHeap;
+mod walk;
 
 use glam::DVec3;
+use pulp::{Simd, WithSimd};
 
-use self::block::{BLOCK_EDGE, Block};
-use self::frustum::Frustum;
-use self::project::{Candidate, Projection};
-use self::shade::{ShadeChunk, Shader};
+use self::block::{Block, NARROW, WIDE, edge};
+use self::shade::Shader;
+use self::walk::Walk;
 use super::level::Level;
 use super::ray::RayScratch;
 use super::{Radiance, Ray, RayTracer, Surfaces, Tile, TileTracer, TraceSettings};
-use crate::bvh::{Bvh, Child, WIDTH};
-use crate::job::ShDirection;
-use crate::scene::{Scene, sh};
+use crate::bvh::Bvh;
+use crate::scene::Scene;
 
-/// Texels along an edge of a cell; a tile's 8 x 8 cells are the bits of a `u64`.
-const CELL_EDGE: u32 = Tile::EDGE / 8;
+/// Blocks along an edge of a tile: they are the bits of a `u64`.
+const BLOCKS_PER_ROW: u32 = 8;
 
-/// Candidates that are shaded together. More amortise the dealing to blocks, fewer stop sooner behind an opaque surface.
-const CHUNK: usize = 512;
+/// Faces from this size on are traced in wide blocks.
+const WIDE_FACE: u32 = 160;
 
 /// Traces whole tiles of a probe's cube through the tree.
 pub struct BeamTracer<'a> {
@@ -47,158 +43,86 @@ pub struct BeamTracer<'a> {
     pub level: Level,
 }
 
-/// What one tile's walk through the tree needs.
-struct Walk<'a> {
-    tracer: &'a BeamTracer<'a>,
-    frustum: Frustum,
-    projection: Projection,
-    /// Nodes and candidates by the bits of their lower bound, then by what they are.
-    queue: BinaryHeap<Reverse<(u32, Queued)>>,
-    /// Projected candidates that wait in the queue; freed slots are used again.
-    waiting: Vec<Candidate>,
-    free: Vec<u32>,
-    /// Cells in which some ray has not ended.
-    live: u64,
-}
-
-/// What waits in the queue. Candidates with equal keys leave it in the order of their indices.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum Queued {
-    Node(u32),
-    Candidate { index: u32, slot: u32 },
-}
-
 impl TileTracer for BeamTracer<'_> {
     fn trace_tile(&self, origin: DVec3, tile: &Tile, texels: &mut [Radiance]) {
-        let mut walk = Walk::new(self, origin, tile);
-        let blocks_per_row = tile.width.div_ceil(BLOCK_EDGE);
-        let mut blocks: Vec<Block> = (0..tile.height.div_ceil(BLOCK_EDGE))
-            .flat_map(|row| (0..blocks_per_row).map(move |column| (column * BLOCK_EDGE, row * BLOCK_EDGE)))
-            .map(|(x, y)| Block::new(tile, x, y, self.settings.t_near))
-            .collect();
-        let mut shader = Shader::new(self, origin, tile);
-        let mut chunk = Vec::with_capacity(CHUNK);
-        loop {
-            let bound = walk.gather(&mut chunk);
-            self.level.run(ShadeChunk {
-                shader: &mut shader,
-                blocks: &mut blocks,
-                blocks_per_row,
-                chunk: &chunk,
-                bound,
-                live: &mut walk.live,
-            });
-            if bound == f32::INFINITY || walk.live == 0 {
-                break;
-            }
-            chunk.clear();
+        if tile.face_size >= WIDE_FACE {
+            self.level.run(TraceTile::<WIDE> { tracer: self, origin, tile, texels });
+        } else {
+            self.level.run(TraceTile::<NARROW> { tracer: self, origin, tile, texels });
         }
-        self.collect(origin, tile, &blocks, texels);
+    }
+}
+
+/// A tile in blocks of `N` texels: split, where so many blocks do not cover it.
+struct TraceTile<'a, 'b, const N: usize> {
+    tracer: &'a BeamTracer<'b>,
+    origin: DVec3,
+    tile: &'a Tile,
+    texels: &'a mut [Radiance],
+}
+
+impl<const N: usize> WithSimd for TraceTile<'_, '_, N> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { tracer, origin, tile, texels } = self;
+        let part_edge = BLOCKS_PER_ROW * edge(N);
+        for y in (0..tile.height).step_by(part_edge as usize) {
+            for x in (0..tile.width).step_by(part_edge as usize) {
+                let (width, height) = (part_edge.min(tile.width - x), part_edge.min(tile.height - y));
+                let part = Tile { x: tile.x + x, y: tile.y + y, width, height, ..*tile };
+                let blocks = tracer.blocks::<S, N>(simd, origin, &part);
+                let row_length = tile.width as usize;
+                let first = y as usize * row_length + x as usize;
+                tracer.collect(origin, &part, &blocks, &mut texels[first..], row_length);
+            }
+        }
     }
 }
 
 impl BeamTracer<'_> {
-    /// Reads the finished blocks out; blocks that overflowed go through the ray tracer.
-    fn collect(&self, origin: DVec3, tile: &Tile, blocks: &[Block], texels: &mut [Radiance]) {
+    /// Traces a tile that 8 x 8 blocks cover; gives those blocks.
+    #[inline(always)]
+    fn blocks<S: Simd, const N: usize>(&self, simd: S, origin: DVec3, tile: &Tile) -> Vec<Block<N>> {
+        let positions = (0..BLOCKS_PER_ROW * BLOCKS_PER_ROW).map(|i| (i % BLOCKS_PER_ROW, i / BLOCKS_PER_ROW));
+        let mut blocks: Vec<Block<N>> =
+            positions.map(|(x, y)| Block::new(tile, x * edge(N), y * edge(N), self.settings.t_near)).collect();
+        // Blocks beyond the tile's edge have ended before they begin.
+        let mut live = (0..blocks.len()).filter(|&i| blocks[i].is_inside(tile)).fold(0, |live, i| live | 1 << i);
+        let mut walk = Walk::new(self, origin, tile, edge(N));
+        let mut shader = Shader::new(self, origin, tile);
+        loop {
+            let bound = walk.gather(simd, live);
+            shader.shade_chunk(simd, &mut blocks, &walk.chunk, bound, &mut live);
+            if bound == f32::INFINITY || live == 0 {
+                return blocks;
+            }
+            walk.chunk.clear();
+        }
+    }
+
+    /// Reads the finished blocks out to `texels`, whose rows are `row_length` long; blocks that overflowed go through the
+    /// ray tracer.
+    fn collect<const N: usize>(
+        &self,
+        origin: DVec3,
+        tile: &Tile,
+        blocks: &[Block<N>],
+        texels: &mut [Radiance],
+        row_length: usize,
+    ) {
         let exact = RayTracer { scene: self.scene, bvh: self.bvh, surfaces: self.surfaces, settings: self.settings };
-        let mut scratch = RayScratch::default();
-        let blocks_per_row = tile.width.div_ceil(BLOCK_EDGE);
-        for (i, texel) in texels.iter_mut().enumerate() {
-            let (x, y) = (i as u32 % tile.width, i as u32 / tile.width);
-            let block = &blocks[(y / BLOCK_EDGE * blocks_per_row + x / BLOCK_EDGE) as usize];
-            *texel = match block.radiance((y % BLOCK_EDGE * BLOCK_EDGE + x % BLOCK_EDGE) as usize) {
-                Some(radiance) => radiance,
-                None => exact.trace(&Ray { origin, direction: tile.direction(x, y) }, &mut scratch),
-            };
-        }
-    }
-
-    fn colour(&self, index: usize, origin: DVec3) -> [f32; 3] {
-        let splats = &self.scene.splats;
-        let direction = (splats.means[index].as_dvec3() - origin).normalize().as_vec3();
-        sh::evaluate(splats.sh_degree, splats.sh_of(index), direction).to_array()
-    }
-}
-
-impl<'a> Walk<'a> {
-    fn new(tracer: &'a BeamTracer<'a>, origin: DVec3, tile: &Tile) -> Self {
-        let cells = |texels: u32| texels.div_ceil(CELL_EDGE);
-        let row = (1u64 << cells(tile.width)) - 1;
-        let live = (0..cells(tile.height)).fold(0, |live, y| live | row << (8 * y));
-        let mut queue = BinaryHeap::new();
-        if !tracer.bvh.nodes.is_empty() {
-            queue.push(Reverse((0, Queued::Node(0))));
-        }
-        Self {
-            tracer,
-            frustum: Frustum::new(origin, tile, tracer.settings.order),
-            projection: Projection::new(origin, tile, tracer.settings.order),
-            queue,
-            waiting: Vec::new(),
-            free: Vec::new(),
-            live,
-        }
-    }
-
-    /// Fills `chunk` with the next candidates and returns a lower bound on the keys of all that is still to come.
-    fn gather(&mut self, chunk: &mut Vec<Candidate>) -> f32 {
-        while chunk.len() < CHUNK {
-            let Some(Reverse((_, queued))) = self.queue.pop() else { return f32::INFINITY };
-            match queued {
-                Queued::Node(node) => self.open(node),
-                Queued::Candidate { slot, .. } => {
-                    self.free.push(slot);
-                    let candidate = &self.waiting[slot as usize];
-                    if candidate.cells & self.live != 0 {
-                        chunk.push(*candidate);
-                        if let Some(added) = chunk.last_mut()
-                            && added.is_gaussian()
-                            && self.tracer.settings.sh_direction == ShDirection::Mean
-                        {
-                            added.colour = self.tracer.colour(added.index as usize, self.projection.origin);
-                        }
-                    }
-                }
+        let mut scratch = None;
+        for (y, row) in (0..tile.height).zip(texels.chunks_mut(row_length)) {
+            for (x, texel) in (0..tile.width).zip(row) {
+                let block = &blocks[(y / edge(N) * BLOCKS_PER_ROW + x / edge(N)) as usize];
+                let lane = y % edge(N) * edge(N) + x % edge(N);
+                *texel = block.radiance(lane as usize).unwrap_or_else(|| {
+                    let ray = Ray { origin, direction: tile.direction(x, y) };
+                    exact.trace(&ray, scratch.get_or_insert_with(RayScratch::default))
+                });
             }
         }
-        self.queue.peek().map_or(f32::INFINITY, |Reverse((key, _))| f32::from_bits(*key))
-    }
-
-    fn open(&mut self, node: u32) {
-        let (scene, wide) = (self.tracer.scene, &self.tracer.bvh.nodes[node as usize]);
-        let seen = self.frustum.meet(wide);
-        for lane in 0..WIDTH {
-            if seen.cells[lane] & self.live != 0 {
-                match wide.child(lane) {
-                    Child::Node(child) => {
-                        self.queue.push(Reverse((seen.keys[lane].to_bits(), Queued::Node(child))));
-                    }
-                    Child::Gaussian(index) => {
-                        let projected = self.projection.gaussian(&scene.splats, index);
-                        self.wait(projected);
-                    }
-                    Child::Triangle(index) => {
-                        let projected = self.projection.triangle(&scene.meshes, index);
-                        self.wait(projected);
-                    }
-                }
-            }
-        }
-    }
-
-    fn wait(&mut self, candidate: Option<Candidate>) {
-        let Some(candidate) = candidate.filter(|c| c.cells & self.live != 0) else { return };
-        let slot = match self.free.pop() {
-            Some(slot) => {
-                self.waiting[slot as usize] = candidate;
-                slot
-            }
-            None => {
-                self.waiting.push(candidate);
-                self.waiting.len() as u32 - 1
-            }
-        };
-        let queued = Queued::Candidate { index: candidate.index, slot };
-        self.queue.push(Reverse((candidate.key_low.to_bits(), queued)));
     }
 }

@@ -11,13 +11,14 @@
 //! which is the ray tracer's own value, not an approximation; holds for Gaussians in front of, around and behind the
 //! face's plane alike; and cancels only to first order (DESIGN: the conic's quadratic form loses twice the digits).
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
+use pulp::Simd;
 
-use super::CELL_EDGE;
-use super::frustum::cell_mask;
+use super::frustum::{FaceAxes, block_mask};
 use crate::job::Order;
 use crate::scene::{Meshes, Splats};
 use crate::trace::Tile;
+use crate::trace::batch::{BATCH, Batch, Lanes, Vector3, cross, difference_of_products, dot, plus_scaled, scaled};
 
 /// Image positions are formed in f64; a texel's centre this close to an ellipse's edge counts as inside.
 const TEXEL_SLACK: f64 = 1e-3;
@@ -46,10 +47,10 @@ pub(super) struct Candidate {
     pub colour: [f32; 3],
     /// Into the scene's Gaussians, or its triangles when [`Candidate::TRIANGLE`] is set.
     pub index: u32,
-    /// Texels it may touch: first column, first row, last column, last row.
-    pub bounds: [i16; 4],
-    /// Cells it may touch.
-    pub cells: u64,
+    /// First and last row of texels that it may touch.
+    pub rows: [i16; 2],
+    /// Blocks it may touch.
+    pub blocks: u64,
 }
 
 impl Candidate {
@@ -64,113 +65,198 @@ impl Candidate {
         self.index & !Self::TRIANGLE
     }
 
-    /// A lower bound on the depths of its contributions in a cell, given by its first texel.
+    /// A lower bound on the depths of its contributions in a square of texels, given by its first texel and its edge.
     #[inline(always)]
-    pub fn depth_low_in(&self, x: u32, y: u32) -> f32 {
-        self.depth_low_between([x as f32, y as f32], CELL_EDGE as f32)
-    }
-
-    #[inline(always)]
-    fn depth_low_between(&self, corner: [f32; 2], edge: f32) -> f32 {
+    pub fn depth_low_in(&self, x: f32, y: f32, edge: f32) -> f32 {
         // Where it responds, u^2 + s^2 <= r^2 v.v / |p|^2, so v.v <= h^2 / (1 - r^2 / |p|^2), and the depth
         // |p| h / v.v is at least |p| (1 - r^2 / |p|^2) / h.
         let [h0, hx, hy] = self.h;
-        let steepest = h0 + hx * corner[0] + hy * corner[1] + edge * (hx.max(0.0) + hy.max(0.0));
+        let steepest = h0 + hx * x + hy * y + edge * (hx.max(0.0) + hy.max(0.0));
         let plane = if steepest > 0.0 { self.depth_low / steepest } else { 0.0 };
         if plane > self.nearest { plane } else { self.nearest }
     }
 }
 
-/// A probe's view through one tile.
+/// A probe's view through one tile; Gaussians pass through it in batches.
 pub(super) struct Projection {
     pub origin: DVec3,
-    /// Direction through the tile's corner, and its change per texel to the right and down.
-    corner: DVec3,
-    right: DVec3,
-    down: DVec3,
-    /// Direction through the tile's centre, where the affine forms are scaled to 1.
-    centre: DVec3,
-    /// Face axes in world coordinates.
-    look: DVec3,
     tile: Tile,
+    block_edge: u32,
     order: Order,
+    axes: FaceAxes,
+    /// Direction through the tile's corner and its centre, right and down, where the look component is 1.
+    corner: [f64; 2],
+    centre: [f64; 2],
+    /// Change of direction per texel.
+    texel: f64,
+    batch: Batch,
+    lanes: Box<ProjectedLanes>,
+}
+
+/// A batch, projected; the names are those of [`Candidate`]'s fields.
+struct ProjectedLanes {
+    u: [Lanes; 3],
+    s: [Lanes; 2],
+    h: [Lanes; 3],
+    falloff: Lanes,
+    log2_opacity: Lanes,
+    depth: Lanes,
+    depth_low: Lanes,
+    nearest: Lanes,
+    mean_distance: Lanes,
+    /// Texels between which it is seen; the last is smaller than the first where nothing is.
+    columns: [Lanes; 2],
+    rows: [Lanes; 2],
 }
 
 impl Projection {
-    pub fn new(origin: DVec3, tile: &Tile, order: Order) -> Self {
-        let [right, up, look] = tile.face.axes();
+    pub fn new(origin: DVec3, tile: &Tile, block_edge: u32, order: Order) -> Self {
         let texel = 2.0 / f64::from(tile.face_size);
-        let corner = tile.face.direction(tile.face_size, f64::from(tile.x), f64::from(tile.y));
-        let (right, down) = (right * texel, -up * texel);
-        let centre = corner + right * f64::from(tile.width) / 2.0 + down * f64::from(tile.height) / 2.0;
-        Self { origin, corner, right, down, centre, look, tile: *tile, order }
+        let corner = [f64::from(tile.x) * texel - 1.0, f64::from(tile.y) * texel - 1.0];
+        let edges = [f64::from(tile.width), f64::from(tile.height)];
+        let centre = [corner[0] + 0.5 * texel * edges[0], corner[1] + 0.5 * texel * edges[1]];
+        let lanes = Box::new(ProjectedLanes {
+            u: [Lanes::ZERO; 3],
+            s: [Lanes::ZERO; 2],
+            h: [Lanes::ZERO; 3],
+            falloff: Lanes::ZERO,
+            log2_opacity: Lanes::ZERO,
+            depth: Lanes::ZERO,
+            depth_low: Lanes::ZERO,
+            nearest: Lanes::ZERO,
+            mean_distance: Lanes::ZERO,
+            columns: [Lanes::ZERO; 2],
+            rows: [Lanes::ZERO; 2],
+        });
+        let axes = FaceAxes::new(tile.face);
+        Self { origin, tile: *tile, block_edge, order, axes, corner, centre, texel, batch: Batch::default(), lanes }
     }
 
-    /// `None` when no texel centre of the tile can see it.
-    #[inline]
-    pub fn gaussian(&self, splats: &Splats, index: u32) -> Option<Candidate> {
-        let i = index as usize;
-        let mean = splats.means[i].as_dvec3() - self.origin;
-        let radius_squared = Splats::support_radius_squared(splats.opacities[i]);
-        let covariance = splats.covariance(i);
-        let view = self.image_bounds(mean, &covariance, radius_squared)?;
+    /// Adds Gaussian `index` to the batch; true when that fills it.
+    #[inline(always)]
+    pub fn add(&mut self, splats: &Splats, index: u32) -> bool {
+        self.batch.add(splats, index, self.origin)
+    }
 
-        let m = splats.unit_from_world[i].as_dmat3();
-        let p = m * mean;
-        let p_length = p.length();
-        let ahead = p / p_length;
-        if !ahead.is_finite() {
-            // The probe sits on the mean: the strongest response is at distance 0 and never counts.
-            return None;
+    /// Projects the batch and empties it; [`Self::candidate`] then gives the first `n` returned.
+    #[inline(always)]
+    pub fn project<S: Simd>(&mut self, simd: S) -> usize {
+        let lanes = &mut *self.lanes;
+        for (log2, opacity) in lanes.log2_opacity.0.iter_mut().zip(self.batch.opacity.0) {
+            *log2 = log2_of(opacity);
         }
-        let scale = (m * self.centre).length().recip();
-        let [v0, vx, vy] = [self.corner, self.right, self.down].map(|d| m * d * scale);
-        let across = vx - ahead * ahead.dot(vx);
-        let u_axis = if across.length_squared() > 0.0 { across.normalize() } else { ahead.any_orthonormal_vector() };
-        let s_axis = ahead.cross(u_axis);
-        let forms = |axis: DVec3| [axis.dot(v0) as f32, axis.dot(vx) as f32, axis.dot(vy) as f32];
-        let s = forms(s_axis);
-        let h = forms(ahead);
-        let depth = p_length * scale;
+        let (zero, one) = (simd.splat_f64s(0.0), simd.splat_f64s(1.0));
+        for v in 0..BATCH / S::F64_LANES {
+            // In face coordinates: right, down, look.
+            let mut mean = [zero; 3];
+            let mut columns = [[zero; 3]; 3];
+            for axis in 0..3 {
+                let (world, sign) = self.axes.0[axis];
+                let sign = simd.splat_f64s(sign);
+                mean[axis] = simd.mul_f64s(self.batch.mean_from_origin[world].get::<S>(v), sign);
+                for row in 0..3 {
+                    let entry = self.batch.unit_from_world[3 * world + row].get::<S>(v);
+                    columns[axis][row] = simd.mul_f64s(entry, sign);
+                }
+            }
+            let [right, down, look] = columns;
+            let log2_opacity = lanes.log2_opacity.get::<S>(v);
+            // 2 ln(opacity / ALPHA_MIN)
+            let radius_squared = simd.mul_f64s(
+                simd.sub_f64s(log2_opacity, simd.splat_f64s(LOG2_ALPHA_MIN)),
+                simd.splat_f64s(2.0 * std::f64::consts::LN_2),
+            );
+            let image = image_bounds(simd, mean, [right, down, look], radius_squared);
+
+            let p = plus_scaled(simd, plus_scaled(simd, scaled(simd, right, mean[0]), down, mean[1]), look, mean[2]);
+            let p_squared = dot(simd, p, p);
+            let p_length = simd.sqrt_f64s(p_squared);
+            let ahead = scaled(simd, p, simd.div_f64s(one, p_length));
+            let corner = through(simd, columns, self.corner);
+            let centre = through(simd, columns, self.centre);
+            let scale = simd.div_f64s(one, simd.sqrt_f64s(dot(simd, centre, centre)));
+            let v0 = scaled(simd, corner, scale);
+            let texel = simd.mul_f64s(scale, simd.splat_f64s(self.texel));
+            let (vx, vy) = (scaled(simd, right, texel), scaled(simd, down, texel));
+            let u_axis = unit_across(simd, ahead, vx);
+            let s_axis = cross(simd, ahead, u_axis);
+            set_forms(simd, v, &mut lanes.u, u_axis, [v0, vx, vy]);
+            set_forms(simd, v, &mut lanes.h, ahead, [v0, vx, vy]);
+            lanes.s[0].set::<S>(v, dot(simd, s_axis, v0));
+            lanes.s[1].set::<S>(v, dot(simd, s_axis, vy));
+
+            let depth = simd.mul_f64s(p_length, scale);
+            let slack = simd.splat_f64s(1.0 - KEY_SLACK);
+            let in_front = simd.max_f64s(simd.sub_f64s(one, simd.div_f64s(radius_squared, p_squared)), zero);
+            lanes.falloff.set::<S>(v, simd.mul_f64s(p_squared, simd.splat_f64s(std::f64::consts::LOG2_E / 2.0)));
+            lanes.depth.set::<S>(v, depth);
+            lanes.depth_low.set::<S>(v, simd.mul_f64s(simd.mul_f64s(depth, in_front), slack));
+            lanes.nearest.set::<S>(v, simd.mul_f64s(simd.max_f64s(image.nearest, zero), slack));
+            lanes.mean_distance.set::<S>(v, simd.sqrt_f64s(dot(simd, mean, mean)));
+
+            // On the mean, the strongest response is at distance 0 and never counts.
+            let seen = simd.and_m64s(image.in_front, simd.greater_than_f64s(p_squared, zero));
+            let half = simd.splat_f64s(0.5 * f64::from(self.tile.face_size));
+            let nothing = simd.splat_f64s(f64::NEG_INFINITY);
+            let left = simd.sub_f64s(half, simd.splat_f64s(f64::from(self.tile.x)));
+            let top = simd.sub_f64s(half, simd.splat_f64s(f64::from(self.tile.y)));
+            lanes.columns[0].set::<S>(v, simd.mul_add_e_f64s(image.x[0], half, left));
+            let last_column = simd.mul_add_e_f64s(image.x[1], half, left);
+            lanes.columns[1].set::<S>(v, simd.select_f64s(seen, last_column, nothing));
+            lanes.rows[0].set::<S>(v, simd.mul_add_e_f64s(image.y[0], half, top));
+            lanes.rows[1].set::<S>(v, simd.mul_add_e_f64s(image.y[1], half, top));
+        }
+        self.batch.take()
+    }
+
+    /// The Gaussian in `lane`, valid between [`Self::project`] and the next [`Self::add`]; `None` when no texel centre of
+    /// the tile can see it.
+    #[inline(always)]
+    pub fn candidate(&self, lane: usize) -> Option<Candidate> {
+        let lanes = &*self.lanes;
+        let at = |value: &Lanes| value.0[lane];
+        let view =
+            self.view([at(&lanes.columns[0]), at(&lanes.columns[1])], [at(&lanes.rows[0]), at(&lanes.rows[1])])?;
+        let [u, h] = [&lanes.u, &lanes.h].map(|[a, b, c]| [at(a) as f32, at(b) as f32, at(c) as f32]);
         let mut candidate = Candidate {
-            u: forms(u_axis),
-            s: [s[0], s[2]],
+            u,
+            s: [at(&lanes.s[0]) as f32, at(&lanes.s[1]) as f32],
             h,
-            falloff: (p_length * p_length * std::f64::consts::LOG2_E / 2.0) as f32,
-            log2_opacity: f64::from(splats.opacities[i]).log2() as f32,
-            depth: depth as f32,
-            depth_low: (depth * (1.0 - radius_squared / (p_length * p_length)).max(0.0) * (1.0 - KEY_SLACK)) as f32,
-            nearest: (view.nearest.max(0.0) * (1.0 - KEY_SLACK)) as f32,
-            key_low: 0.0,
+            falloff: at(&lanes.falloff) as f32,
+            log2_opacity: at(&lanes.log2_opacity) as f32,
+            depth: at(&lanes.depth) as f32,
+            depth_low: at(&lanes.depth_low) as f32,
+            nearest: at(&lanes.nearest) as f32,
+            key_low: at(&lanes.mean_distance) as f32,
             colour: [0.0; 3],
-            index,
-            bounds: view.bounds,
-            cells: view.cells,
+            index: self.batch.index[lane],
+            rows: view.rows,
+            blocks: view.blocks,
         };
-        candidate.key_low = match self.order {
-            Order::RayHitDistance => candidate.depth_low_between([0.0; 2], Tile::EDGE as f32),
-            Order::CameraDistance => mean.length() as f32,
-        };
+        if self.order == Order::RayHitDistance {
+            candidate.key_low = candidate.depth_low_in(0.0, 0.0, self.tile.width.max(self.tile.height) as f32);
+        }
         Some(candidate)
     }
 
     /// `None` when the tile cannot see the triangle.
     pub fn triangle(&self, meshes: &Meshes, index: u32) -> Option<Candidate> {
         let corners = meshes.corners(index as usize).map(|corner| corner.as_dvec3() - self.origin);
-        let depths = corners.map(|corner| corner.dot(self.look));
+        let in_face = corners.map(|corner| self.axes.face_from_world(corner));
+        let depths = in_face.map(|corner| corner.z);
         let nearest = depths[0].min(depths[1]).min(depths[2]);
         if !(depths[0].max(depths[1]).max(depths[2]) > 0.0) {
             return None;
         }
         let view = if nearest > 0.0 {
-            let points = corners.map(|corner| self.image_point(corner));
-            let ends = |axis: usize| {
-                let values = points.map(|point| point[axis]);
+            let half = f64::from(self.tile.face_size) / 2.0;
+            let ends = |axis: usize, first: u32| {
+                let values = in_face.map(|corner| half + half * corner[axis] / corner.z - f64::from(first));
                 [values[0].min(values[1]).min(values[2]), values[0].max(values[1]).max(values[2])]
             };
-            self.view(ends(0), ends(1), nearest)?
+            self.view(ends(0, self.tile.x), ends(1, self.tile.y))?
         } else {
-            self.view([f64::NEG_INFINITY, f64::INFINITY], [f64::NEG_INFINITY, f64::INFINITY], 0.0)?
+            self.view([f64::NEG_INFINITY, f64::INFINITY], [f64::NEG_INFINITY, f64::INFINITY])?
         };
         let key_low = match self.order {
             Order::RayHitDistance => nearest.max(0.0) * (1.0 - KEY_SLACK),
@@ -192,76 +278,164 @@ impl Projection {
             key_low: key_low as f32,
             colour: [0.0; 3],
             index: index | Candidate::TRIANGLE,
-            bounds: view.bounds,
-            cells: view.cells,
+            rows: view.rows,
+            blocks: view.blocks,
         })
     }
 
-    /// A point in front of the face's plane, in texels from the tile's corner.
-    fn image_point(&self, point: DVec3) -> [f64; 2] {
-        let [right, up, look] = self.tile.face.axes();
-        let half = f64::from(self.tile.face_size) / 2.0;
-        let depth = point.dot(look);
-        [
-            half + half * point.dot(right) / depth - f64::from(self.tile.x),
-            half - half * point.dot(up) / depth - f64::from(self.tile.y),
-        ]
-    }
-
-    /// The rectangle around the image of the ellipsoid `|M (p - mu)| <= r`, by its tangent planes through the probe.
-    ///
-    /// A plane with normal `N = e_x - k e_z` touches it where `(N.m)^2 = r^2 N^T Sigma N`, a quadratic in k.
-    fn image_bounds(&self, mean: DVec3, covariance: &DMat3, radius_squared: f64) -> Option<View> {
-        if !(radius_squared > 0.0) {
-            return None;
-        }
-        let [right, up, look] = self.tile.face.axes();
-        let sigma_look = *covariance * look;
-        let (z, zz) = (mean.dot(look), radius_squared * look.dot(sigma_look));
-        let reach = zz.sqrt();
-        if !(z + reach > 0.0) {
-            return None;
-        }
-        let leading = z * z - zz;
-        let nearest = z - reach;
-        if !(leading > 0.0 && z > 0.0) {
-            // It crosses the plane through the probe: its image has no bounds that are worth having.
-            return self.view([f64::NEG_INFINITY, f64::INFINITY], [f64::NEG_INFINITY, f64::INFINITY], nearest);
-        }
-        let half = f64::from(self.tile.face_size) / 2.0;
-        let ends = |axis: DVec3, first: u32| {
-            let sigma_axis = *covariance * axis;
-            let (x, xx, xz) =
-                (mean.dot(axis), radius_squared * axis.dot(sigma_axis), radius_squared * axis.dot(sigma_look));
-            let middle = x * z - xz;
-            let spread = (middle * middle - leading * (x * x - xx)).max(0.0).sqrt();
-            [(middle - spread) / leading, (middle + spread) / leading].map(|k| half + half * k - f64::from(first))
-        };
-        self.view(ends(right, self.tile.x), ends(-up, self.tile.y), nearest)
-    }
-
     /// The texels whose centres lie within `columns` and `rows`; `None` when there is none.
-    fn view(&self, columns: [f64; 2], rows: [f64; 2], nearest: f64) -> Option<View> {
+    #[inline(always)]
+    fn view(&self, columns: [f64; 2], rows: [f64; 2]) -> Option<View> {
         // `as` saturates, so infinite ends become the tile's own.
-        let first = |end: f64| ((end - 0.5 - TEXEL_SLACK).ceil() as i64).max(0);
-        let last = |end: f64, size: u32| ((end - 0.5 + TEXEL_SLACK).floor() as i64).min(i64::from(size) - 1);
+        let first = |end: f64| ((end - 0.5 - TEXEL_SLACK).ceil() as i32).max(0);
+        let last = |end: f64, size: u32| ((end - 0.5 + TEXEL_SLACK).floor() as i32).min(size as i32 - 1);
         let (left, right) = (first(columns[0]), last(columns[1], self.tile.width));
         let (top, bottom) = (first(rows[0]), last(rows[1], self.tile.height));
         if left > right || top > bottom {
             return None;
         }
-        let size = [self.tile.width as f32, self.tile.height as f32];
-        Some(View {
-            nearest,
-            bounds: [left as i16, top as i16, right as i16, bottom as i16],
-            cells: cell_mask([left as f32, right as f32], [top as f32, bottom as f32], size),
-        })
+        let block = |texel: i32| texel as u32 / self.block_edge;
+        let blocks = block_mask([block(left), block(right)], [block(top), block(bottom)]);
+        Some(View { rows: [top as i16, bottom as i16], blocks })
     }
 }
 
-/// Where in a tile something may be seen, and its nearest depth.
+/// `M d` for the direction that is `at` right and down where its look component is 1.
+#[inline(always)]
+fn through<S: Simd>(simd: S, [right, down, look]: [Vector3<S>; 3], at: [f64; 2]) -> Vector3<S> {
+    plus_scaled(simd, plus_scaled(simd, look, right, simd.splat_f64s(at[0])), down, simd.splat_f64s(at[1]))
+}
+
+/// The affine form of a component of v.
+#[inline(always)]
+fn set_forms<S: Simd>(simd: S, v: usize, forms: &mut [Lanes; 3], axis: Vector3<S>, v_parts: [Vector3<S>; 3]) {
+    forms[0].set::<S>(v, dot(simd, axis, v_parts[0]));
+    forms[1].set::<S>(v, dot(simd, axis, v_parts[1]));
+    forms[2].set::<S>(v, dot(simd, axis, v_parts[2]));
+}
+
+/// Where in a tile something may be seen.
 struct View {
-    nearest: f64,
-    bounds: [i16; 4],
-    cells: u64,
+    rows: [i16; 2],
+    blocks: u64,
+}
+
+/// Ends of an ellipsoid's image, as ratios of right and down to look.
+struct ImageBounds<S: Simd> {
+    x: [S::f64s; 2],
+    y: [S::f64s; 2],
+    /// Depth of its nearest point.
+    nearest: S::f64s,
+    /// Whether any of it lies in front of the plane through the probe.
+    in_front: S::m64s,
+}
+
+/// The rectangle around the image of the ellipsoid `|M (p - mu)| <= r`, by its tangent planes through the probe; all of
+/// the plane when it crosses the plane through the probe, where its image has no bounds that are worth having.
+///
+/// A plane with normal `N = e_x - k e_z` touches it where `(N.m)^2 = r^2 N^T Sigma N`, a quadratic in k. Rows of M are
+/// `r_k / s_k` with unit r_k, so that Sigma is the sum of `row_k row_k^T / |row_k|^4`.
+#[inline(always)]
+fn image_bounds<S: Simd>(
+    simd: S,
+    mean: Vector3<S>,
+    columns: [Vector3<S>; 3],
+    radius_squared: S::f64s,
+) -> ImageBounds<S> {
+    let zero = simd.splat_f64s(0.0);
+    let [mut xx, mut xz, mut yy, mut yz, mut zz] = [zero; 5];
+    for row in 0..3 {
+        let [x, y, z] = [columns[0][row], columns[1][row], columns[2][row]];
+        let axis = scaled(simd, [x, y, z], simd.div_f64s(simd.splat_f64s(1.0), dot(simd, [x, y, z], [x, y, z])));
+        xx = simd.mul_add_e_f64s(axis[0], axis[0], xx);
+        xz = simd.mul_add_e_f64s(axis[0], axis[2], xz);
+        yy = simd.mul_add_e_f64s(axis[1], axis[1], yy);
+        yz = simd.mul_add_e_f64s(axis[1], axis[2], yz);
+        zz = simd.mul_add_e_f64s(axis[2], axis[2], zz);
+    }
+    let zz = simd.mul_f64s(zz, radius_squared);
+    let reach = simd.sqrt_f64s(simd.max_f64s(zz, zero));
+    let z = mean[2];
+    let leading = difference_of_products(simd, z, z, zz, simd.splat_f64s(1.0));
+    let bounded = simd.and_m64s(simd.greater_than_f64s(leading, zero), simd.greater_than_f64s(z, zero));
+    let inverse = simd.div_f64s(simd.splat_f64s(1.0), leading);
+    let mut ends = [[zero; 2]; 2];
+    let (squares, mixed) = ([xx, yy], [xz, yz]);
+    for axis in 0..2 {
+        let (x, square, mixed) = (mean[axis], squares[axis], mixed[axis]);
+        let middle = difference_of_products(simd, x, z, mixed, radius_squared);
+        let remainder = difference_of_products(simd, x, x, square, radius_squared);
+        let discriminant = difference_of_products(simd, middle, middle, leading, remainder);
+        let spread = simd.sqrt_f64s(simd.max_f64s(discriminant, zero));
+        let low = simd.mul_f64s(simd.sub_f64s(middle, spread), inverse);
+        let high = simd.mul_f64s(simd.add_f64s(middle, spread), inverse);
+        ends[axis] = [
+            simd.select_f64s(bounded, low, simd.splat_f64s(f64::NEG_INFINITY)),
+            simd.select_f64s(bounded, high, simd.splat_f64s(f64::INFINITY)),
+        ];
+    }
+    let in_front = simd
+        .and_m64s(simd.greater_than_f64s(simd.add_f64s(z, reach), zero), simd.greater_than_f64s(radius_squared, zero));
+    ImageBounds { x: ends[0], y: ends[1], nearest: simd.sub_f64s(z, reach), in_front }
+}
+
+/// The unit vector across `ahead` in the plane that it spans with `toward`; any across `ahead` when the two are parallel
+/// to a rounding.
+#[inline(always)]
+fn unit_across<S: Simd>(simd: S, ahead: Vector3<S>, toward: Vector3<S>) -> Vector3<S> {
+    let (zero, one) = (simd.splat_f64s(0.0), simd.splat_f64s(1.0));
+    let negated = simd.sub_f64s(zero, dot(simd, ahead, toward));
+    let across = plus_scaled(simd, toward, ahead, negated);
+    let across_squared = dot(simd, across, across);
+    // What is left of a vector parallel to `ahead` is roundings, 1e-32 of its square.
+    let least = simd.mul_f64s(dot(simd, toward, toward), simd.splat_f64s(1e-28));
+    let usable = simd.greater_than_f64s(across_squared, least);
+    // Across `ahead` without cancellation: (-y, x, 0), or (0, -z, y) where that is short.
+    let along_z = simd.greater_than_f64s(simd.mul_f64s(ahead[2], ahead[2]), simd.splat_f64s(0.5));
+    let other = [
+        simd.select_f64s(along_z, zero, simd.sub_f64s(zero, ahead[1])),
+        simd.select_f64s(along_z, simd.sub_f64s(zero, ahead[2]), ahead[0]),
+        simd.select_f64s(along_z, ahead[1], zero),
+    ];
+    let chosen = [
+        simd.select_f64s(usable, across[0], other[0]),
+        simd.select_f64s(usable, across[1], other[1]),
+        simd.select_f64s(usable, across[2], other[2]),
+    ];
+    scaled(simd, chosen, simd.div_f64s(one, simd.sqrt_f64s(dot(simd, chosen, chosen))))
+}
+
+/// log2(1/255).
+const LOG2_ALPHA_MIN: f64 = -7.994_353_436_858_858;
+
+/// log2 of a positive number that f32 holds, to 1e-10: the exponent, and a series in (m - 1) / (m + 1) for a mantissa m
+/// between the roots of 1/2 and 2. Inlined where eight are taken at once.
+#[inline(always)]
+fn log2_of(opacity: f64) -> f64 {
+    let bits = (opacity as f32).to_bits() as i32;
+    let exponent = (bits - 0x3f35_04f3) >> 23;
+    let mantissa = f64::from(f32::from_bits((bits - (exponent << 23)) as u32));
+    let t = (mantissa - 1.0) / (mantissa + 1.0);
+    let tt = t * t;
+    // t is at most 0.1716: the first term left out is 2 t^13 / 13 = 1.7e-11.
+    let mut series = 1.0 / 11.0;
+    for odd in [9.0, 7.0, 5.0, 3.0, 1.0] {
+        series = series * tt + 1.0 / odd;
+    }
+    f64::from(exponent) + 2.0 * std::f64::consts::LOG2_E * t * series
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::splats::ALPHA_MIN;
+
+    #[test]
+    fn log2_of_opacities_is_good_to_1e_minus_10() {
+        for opacity in (1..=4000).map(|i| i as f32 / 4000.0).chain([ALPHA_MIN as f32, f32::MIN_POSITIVE]) {
+            let opacity = f64::from(opacity);
+            assert!((log2_of(opacity) - opacity.log2()).abs() < 1e-10, "{opacity}");
+        }
+        assert!((LOG2_ALPHA_MIN - ALPHA_MIN.log2()).abs() < 1e-14);
+    }
 }

@@ -1,11 +1,11 @@
-//! A chunk of candidates into the blocks of a tile: dealt to cells, sorted there, evaluated in SIMD lanes.
+//! A chunk of candidates into the blocks of a tile: dealt to them, sorted there, evaluated in SIMD lanes.
 
 use glam::DVec3;
-use pulp::{Simd, WithSimd};
+use pulp::Simd;
 
-use super::block::{BLOCK_EDGE, Block, Colour, Desk, Entry, LANES, Lanes, State};
+use super::BeamTracer;
+use super::block::{Block, Colour, Desk, Entry, Lanes, State, edge};
 use super::project::Candidate;
-use super::{BeamTracer, CELL_EDGE};
 use crate::job::{Order, ShDirection};
 use crate::scene::sh;
 use crate::scene::splats::ALPHA_MAX;
@@ -16,84 +16,65 @@ use crate::trace::{Ray, SurfaceHit, Tile, triangle};
 const BATCH: usize = 8;
 
 /// Shades blocks; holds what they share so that nothing is allocated per block.
-pub(super) struct Shader<'a> {
+pub(super) struct Shader<'a, const N: usize> {
     tracer: &'a BeamTracer<'a>,
     origin: DVec3,
     tile: Tile,
-    /// Per cell of the tile, the chunk's candidates that may touch it: key bound in the cell, and index.
-    cells: Vec<Vec<u64>>,
+    /// Per block of the tile, the chunk's candidates that may touch it: key bound in the block, and index.
+    lists: Vec<Vec<u64>>,
     /// Colours of entries whose lanes differ.
-    lane_colours: Vec<[Lanes; 3]>,
-    desks: Vec<Box<Desk>>,
+    lane_colours: Vec<[Lanes<N>; 3]>,
+    desks: Vec<Box<Desk<N>>>,
 }
 
-impl<'a> Shader<'a> {
+impl<'a, const N: usize> Shader<'a, N> {
     pub fn new(tracer: &'a BeamTracer<'a>, origin: DVec3, tile: &Tile) -> Self {
-        Self { tracer, origin, tile: *tile, cells: vec![Vec::new(); 64], lane_colours: Vec::new(), desks: Vec::new() }
+        Self { tracer, origin, tile: *tile, lists: vec![Vec::new(); 64], lane_colours: Vec::new(), desks: Vec::new() }
     }
-}
 
-/// One chunk of candidates into all blocks of a tile.
-pub(super) struct ShadeChunk<'a, 'b> {
-    pub shader: &'a mut Shader<'b>,
-    pub blocks: &'a mut [Block],
-    pub blocks_per_row: u32,
-    pub chunk: &'a [Candidate],
-    /// A lower bound on the keys of all candidates after this chunk.
-    pub bound: f32,
-    /// Cells with rays that have not ended; updated.
-    pub live: &'a mut u64,
-}
-
-impl WithSimd for ShadeChunk<'_, '_> {
-    type Output = ();
-
+    /// Shades `chunk` in all live blocks. `bound` is a lower bound on the keys of all candidates after the chunk; `live`
+    /// has a bit per block with rays that have not ended, and is updated.
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Self { shader, blocks, blocks_per_row, chunk, bound, live } = self;
-        shader.deal(chunk, *live);
-        let rows = blocks.len() as u32 / blocks_per_row;
-        let per_cell = CELL_EDGE / BLOCK_EDGE;
-        for cell in 0..64u32 {
-            let mut list = std::mem::take(&mut shader.cells[cell as usize]);
-            if *live & 1 << cell != 0 && (!list.is_empty() || bound == f32::INFINITY) {
+    pub fn shade_chunk<S: Simd>(
+        &mut self,
+        simd: S,
+        blocks: &mut [Block<N>],
+        chunk: &[Candidate],
+        bound: f32,
+        live: &mut u64,
+    ) {
+        self.deal(chunk, *live);
+        for (i, block) in blocks.iter_mut().enumerate() {
+            let mut list = std::mem::take(&mut self.lists[i]);
+            if *live & 1 << i != 0 && (!list.is_empty() || bound == f32::INFINITY) {
                 list.sort_unstable();
-                let mut alive = false;
-                for k in 0..per_cell * per_cell {
-                    let (column, row) = (cell % 8 * per_cell + k % per_cell, cell / 8 * per_cell + k / per_cell);
-                    if column < blocks_per_row && row < rows {
-                        let block = &mut blocks[(row * blocks_per_row + column) as usize];
-                        if block.state == State::Live {
-                            shader.shade(simd, block, chunk, &list, bound);
-                        }
-                        alive |= block.state == State::Live;
-                    }
-                }
-                if !alive {
-                    *live &= !(1 << cell);
+                self.shade(simd, block, chunk, &list, bound);
+                if block.state != State::Live {
+                    *live &= !(1 << i);
                 }
             }
             list.clear();
-            shader.cells[cell as usize] = list;
+            self.lists[i] = list;
         }
     }
-}
 
-impl Shader<'_> {
-    /// Lists each candidate in the live cells it may touch, with the least key it can have there.
+    /// Lists each candidate in the live blocks it may touch, with the least key it can have there.
     #[inline(always)]
     fn deal(&mut self, chunk: &[Candidate], live: u64) {
+        let edge = edge(N) as f32;
         for (i, candidate) in chunk.iter().enumerate() {
-            let mut cells = candidate.cells & live;
-            while cells != 0 {
-                let cell = cells.trailing_zeros();
-                cells &= cells - 1;
+            let mut blocks = candidate.blocks & live;
+            while blocks != 0 {
+                let block = blocks.trailing_zeros();
+                blocks &= blocks - 1;
                 let key_low = match self.tracer.settings.order {
-                    Order::RayHitDistance => candidate.depth_low_in(cell % 8 * CELL_EDGE, cell / 8 * CELL_EDGE),
+                    Order::RayHitDistance => {
+                        candidate.depth_low_in((block % 8) as f32 * edge, (block / 8) as f32 * edge, edge)
+                    }
                     Order::CameraDistance => candidate.key_low,
                 };
                 // Keys are not negative, so their bit patterns order as they do.
-                self.cells[cell as usize].push(u64::from(key_low.to_bits()) << 32 | i as u64);
+                self.lists[block as usize].push(u64::from(key_low.to_bits()) << 32 | i as u64);
             }
         }
     }
@@ -101,14 +82,8 @@ impl Shader<'_> {
     /// Evaluates `list`, sorted, in `block`; blends everything whose order is settled when all keys still to come are
     /// at least `bound`.
     #[inline(always)]
-    fn shade<S: Simd>(&mut self, simd: S, block: &mut Block, chunk: &[Candidate], list: &[u64], bound: f32) {
+    fn shade<S: Simd>(&mut self, simd: S, block: &mut Block<N>, chunk: &[Candidate], list: &[u64], bound: f32) {
         let cutoff = self.tracer.settings.t_cutoff;
-        let (left, top) = (block.x.0[0] as i16, block.y.0[0] as i16);
-        let last = BLOCK_EDGE as i16 - 1;
-        let touches = |candidate: &Candidate| {
-            let [x0, y0, x1, y1] = candidate.bounds;
-            x0 <= left + last && x1 >= left && y0 <= top + last && y1 >= top
-        };
         let mut desk = block.take_desk(&mut self.desks);
         let mut rest = list.iter();
         loop {
@@ -117,9 +92,6 @@ impl Shader<'_> {
             let mut next = bound;
             for &listed in rest.by_ref() {
                 let candidate = &chunk[listed as u32 as usize];
-                if !touches(candidate) {
-                    continue;
-                }
                 let slot = desk.slot();
                 let key_min = if candidate.is_gaussian() {
                     self.evaluate(simd, block, candidate, desk.entry(slot))
@@ -147,44 +119,64 @@ impl Shader<'_> {
     /// Makes the entry of a Gaussian; returns its least key, infinity if no lane sees it respond with at least
     /// 1/255 where it still counts.
     #[inline(always)]
-    fn evaluate<S: Simd>(&mut self, simd: S, block: &Block, candidate: &Candidate, entry: &mut Entry) -> f32 {
+    fn evaluate<S: Simd>(&mut self, simd: S, block: &Block<N>, candidate: &Candidate, entry: &mut Entry<N>) -> f32 {
         let Candidate { u, s, h, falloff, log2_opacity, depth, .. } = *candidate;
         let fixed_key = (self.tracer.settings.order == Order::CameraDistance).then_some(candidate.key_low);
-        let splat = |value: f32| simd.splat_f32s(value);
-        let (nowhere, infinity) = (splat(f32::NEG_INFINITY), splat(f32::INFINITY));
-        let mut key_min = infinity;
-        for v in 0..LANES / S::F32_LANES {
+        let (nowhere, infinity) = (simd.splat_f32s(f32::NEG_INFINITY), simd.splat_f32s(f32::INFINITY));
+        let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
+        let (mut key_min, mut key_max) = (infinity, nowhere);
+        // The lanes of the rows that it touches.
+        let top = block.y.0[0] as i32;
+        let lane_of_row = |row: i32| ((row - top).clamp(0, edge(N) as i32) as u32 * edge(N)) as usize;
+        let lanes = lane_of_row(candidate.rows[0].into())..lane_of_row(i32::from(candidate.rows[1]) + 1);
+        for v in 0..N / S::F32_LANES {
+            let near_depth = block.near_depth.get::<S>(v);
+            let outside = (v + 1) * S::F32_LANES <= lanes.start || v * S::F32_LANES >= lanes.end;
+            if outside || simd.first_true_m32s(simd.less_than_f32s(near_depth, infinity)) >= S::F32_LANES {
+                entry.key.set::<S>(v, nowhere);
+                entry.depth.set::<S>(v, zero);
+                entry.alpha.set::<S>(v, zero);
+                continue;
+            }
             let (x, y) = (block.x.get::<S>(v), block.y.get::<S>(v));
-            let affine = |form: [f32; 3]| {
-                simd.mul_add_e_f32s(splat(form[1]), x, simd.mul_add_e_f32s(splat(form[2]), y, splat(form[0])))
-            };
-            let (u, h) = (affine(u), affine(h));
-            let s = simd.mul_add_e_f32s(splat(s[1]), y, splat(s[0]));
+            let u = affine(simd, u, x, y);
+            let h = affine(simd, h, x, y);
+            let s = simd.mul_add_e_f32s(simd.splat_f32s(s[1]), y, simd.splat_f32s(s[0]));
             let across = simd.mul_add_e_f32s(u, u, simd.mul_f32s(s, s));
-            let v_squared_inverse = simd.div_f32s(splat(1.0), simd.mul_add_e_f32s(h, h, across));
-            let exponent = simd
-                .sub_f32s(splat(log2_opacity), simd.mul_f32s(splat(falloff), simd.mul_f32s(across, v_squared_inverse)));
-            let lane_depth = simd.mul_f32s(simd.mul_f32s(splat(depth), h), v_squared_inverse);
+            let v_squared_inverse = simd.div_f32s(one, simd.mul_add_e_f32s(h, h, across));
+            let fall = simd.mul_f32s(simd.splat_f32s(falloff), simd.mul_f32s(across, v_squared_inverse));
+            let exponent = simd.sub_f32s(simd.splat_f32s(log2_opacity), fall);
+            let lane_depth = simd.mul_f32s(simd.mul_f32s(simd.splat_f32s(depth), h), v_squared_inverse);
             let contributes = simd.and_m32s(
-                simd.greater_than_or_equal_f32s(exponent, splat(LOG2_ALPHA_MIN)),
-                simd.greater_than_f32s(lane_depth, block.near_depth.get::<S>(v)),
+                simd.greater_than_or_equal_f32s(exponent, simd.splat_f32s(LOG2_ALPHA_MIN)),
+                simd.greater_than_f32s(lane_depth, near_depth),
             );
-            let alpha = simd.min_f32s(exp2(simd, exponent), splat(ALPHA_MAX as f32));
-            let key = fixed_key.map_or(lane_depth, splat);
+            let alpha = simd.min_f32s(exp2(simd, exponent), simd.splat_f32s(ALPHA_MAX as f32));
+            let key = match fixed_key {
+                Some(key) => simd.splat_f32s(key),
+                None => lane_depth,
+            };
+            let stored_key = simd.select_f32s(contributes, key, nowhere);
             key_min = simd.min_f32s(key_min, simd.select_f32s(contributes, key, infinity));
-            entry.key.set::<S>(v, simd.select_f32s(contributes, key, nowhere));
+            key_max = simd.max_f32s(key_max, stored_key);
+            entry.key.set::<S>(v, stored_key);
             entry.depth.set::<S>(v, lane_depth);
-            entry.alpha.set::<S>(v, simd.select_f32s(contributes, alpha, splat(0.0)));
+            entry.alpha.set::<S>(v, simd.select_f32s(contributes, alpha, zero));
         }
+        let key_min = simd.reduce_min_f32s(key_min);
+        if key_min == f32::INFINITY {
+            return key_min;
+        }
+        entry.key_max = simd.reduce_max_f32s(key_max);
         entry.colour = match self.tracer.settings.sh_direction {
             ShDirection::Mean => Colour::Splat(candidate.colour),
             ShDirection::Ray => self.colours_along_rays(block, candidate.index as usize),
         };
-        simd.reduce_min_f32s(key_min)
+        key_min
     }
 
     /// Makes the entry of a triangle; returns its least key, infinity if no lane sees it.
-    fn intersect(&mut self, block: &Block, candidate: &Candidate, entry: &mut Entry) -> f32 {
+    fn intersect(&mut self, block: &Block<N>, candidate: &Candidate, entry: &mut Entry<N>) -> f32 {
         let index = candidate.triangle();
         let (scene, surfaces) = (self.tracer.scene, self.tracer.surfaces);
         let corners = scene.meshes.corners(index as usize).map(|corner| corner.as_dvec3() - self.origin);
@@ -192,7 +184,7 @@ impl Shader<'_> {
         let mut colours = [Lanes::splat(0.0); 3];
         *entry = Entry::EMPTY;
         let mut key_min = f32::INFINITY;
-        for lane in 0..LANES {
+        for lane in 0..N {
             if block.near_depth.0[lane] == f32::INFINITY {
                 continue;
             }
@@ -215,6 +207,7 @@ impl Shader<'_> {
             };
             entry.alpha.0[lane] = fragment.alpha;
             key_min = key_min.min(entry.key.0[lane]);
+            entry.key_max = entry.key_max.max(entry.key.0[lane]);
             for (channel, value) in colours.iter_mut().zip(fragment.radiance.0.to_array()) {
                 channel.0[lane] = value;
             }
@@ -226,10 +219,10 @@ impl Shader<'_> {
         key_min
     }
 
-    fn colours_along_rays(&mut self, block: &Block, index: usize) -> Colour {
+    fn colours_along_rays(&mut self, block: &Block<N>, index: usize) -> Colour {
         let splats = &self.tracer.scene.splats;
         let mut colours = [Lanes::splat(0.0); 3];
-        for lane in 0..LANES {
+        for lane in 0..N {
             let direction = block.direction(&self.tile, lane).normalize().as_vec3();
             let colour = sh::evaluate(splats.sh_degree, splats.sh_of(index), direction);
             for (channel, value) in colours.iter_mut().zip(colour.to_array()) {
@@ -239,6 +232,13 @@ impl Shader<'_> {
         self.lane_colours.push(colours);
         Colour::SplatLanes(self.lane_colours.len() as u32 - 1)
     }
+}
+
+/// An affine form of the texel position.
+#[inline(always)]
+fn affine<S: Simd>(simd: S, form: [f32; 3], x: S::f32s, y: S::f32s) -> S::f32s {
+    let constant = simd.mul_add_e_f32s(simd.splat_f32s(form[2]), y, simd.splat_f32s(form[0]));
+    simd.mul_add_e_f32s(simd.splat_f32s(form[1]), x, constant)
 }
 
 /// log2(1/255).
@@ -264,6 +264,8 @@ fn exp2<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
 
 #[cfg(test)]
 mod tests {
+    use pulp::WithSimd;
+
     use super::*;
     use crate::scene::splats::ALPHA_MIN;
     use crate::trace::level::Level;

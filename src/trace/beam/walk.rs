@@ -1,0 +1,218 @@
+//! A tile's way through the tree: what it may see, nearest first.
+//!
+//! In windows of the sort key, as a single ray goes: everything that begins inside the window is opened in any order, what
+//! lies beyond waits. When a window is done, its end is a lower bound on the keys of all that is still to come.
+
+use glam::DVec3;
+use pulp::Simd;
+
+use super::BeamTracer;
+use super::frustum::Frustum;
+use super::project::{Candidate, Projection};
+use crate::bvh::{Child, WIDTH};
+use crate::job::ShDirection;
+use crate::scene::sh;
+use crate::trace::Tile;
+
+/// Candidates that are worth a round of shading. More amortise the dealing to blocks, fewer stop sooner behind an opaque
+/// surface.
+const CHUNK: usize = 512;
+
+/// A window that brings this many candidates is shaded before it is complete, so that memory stays bounded.
+const CHUNK_MAX: usize = 16 * CHUNK;
+
+/// A window ends this much farther than the one before it.
+const WINDOW_GROWTH: f32 = 1.08;
+
+/// One tile's walk.
+pub(super) struct Walk<'a> {
+    tracer: &'a BeamTracer<'a>,
+    frustum: Frustum,
+    projection: Projection,
+    /// Where the present window ends, and the one before it ended.
+    window: f32,
+    complete: f32,
+    /// Nodes to open in this window.
+    open: Vec<u32>,
+    later: Vec<Later>,
+    /// What was `later` in the window before.
+    waited: Vec<Later>,
+    /// Projected candidates that wait for their window; freed slots are used again.
+    projected: Vec<Candidate>,
+    free: Vec<u32>,
+    /// Candidates to shade.
+    pub chunk: Vec<Candidate>,
+}
+
+/// What begins behind the window.
+#[derive(Clone, Copy)]
+struct Later {
+    /// A lower bound on its keys.
+    key: f32,
+    what: Waiting,
+    /// Blocks that it may touch.
+    blocks: u64,
+}
+
+#[derive(Clone, Copy)]
+enum Waiting {
+    Child(Child),
+    /// By its slot.
+    Projected(u32),
+}
+
+impl<'a> Walk<'a> {
+    pub fn new(tracer: &'a BeamTracer<'a>, origin: DVec3, tile: &Tile, block_edge: u32) -> Self {
+        Self {
+            tracer,
+            frustum: Frustum::new(origin, tile, block_edge, tracer.settings.order),
+            projection: Projection::new(origin, tile, block_edge, tracer.settings.order),
+            window: 0.0,
+            complete: 0.0,
+            open: if tracer.bvh.nodes.is_empty() { Vec::new() } else { vec![0] },
+            later: Vec::new(),
+            waited: Vec::new(),
+            projected: Vec::new(),
+            free: Vec::new(),
+            chunk: Vec::with_capacity(CHUNK),
+        }
+    }
+
+    /// Fills the chunk with candidates that touch `live` blocks, and returns a lower bound on the keys of all that is
+    /// still to come.
+    #[inline(always)]
+    pub fn gather<S: Simd>(&mut self, simd: S, live: u64) -> f32 {
+        loop {
+            while let Some(node) = self.open.pop() {
+                self.open_node(simd, node, live);
+                if self.chunk.len() >= CHUNK_MAX {
+                    return self.complete;
+                }
+            }
+            self.project(simd, live);
+            self.complete = self.window;
+            if self.later.is_empty() {
+                return f32::INFINITY;
+            }
+            if self.chunk.len() >= CHUNK {
+                return self.complete;
+            }
+            self.begin_window(simd, live);
+        }
+    }
+
+    /// Moves the window's end, and takes up what waited for it.
+    #[inline(always)]
+    fn begin_window<S: Simd>(&mut self, simd: S, live: u64) {
+        let mut nearest = f32::INFINITY;
+        for later in &self.later {
+            nearest = if later.key < nearest { later.key } else { nearest };
+        }
+        // At least one more, even if its key is 0.
+        self.window = (self.window.max(nearest) * WINDOW_GROWTH).max(f32::MIN_POSITIVE);
+        std::mem::swap(&mut self.later, &mut self.waited);
+        for i in 0..self.waited.len() {
+            let later = self.waited[i];
+            if later.key >= self.window {
+                self.later.push(later);
+                continue;
+            }
+            let seen = later.blocks & live != 0;
+            match later.what {
+                Waiting::Child(child) if seen => self.meet(simd, child, live),
+                Waiting::Child(_) => {}
+                Waiting::Projected(slot) => {
+                    self.free.push(slot);
+                    if seen {
+                        let candidate = self.projected[slot as usize];
+                        self.chunk.push(candidate);
+                        self.colour_last();
+                    }
+                }
+            }
+        }
+        self.waited.clear();
+    }
+
+    #[inline(always)]
+    fn open_node<S: Simd>(&mut self, simd: S, node: u32, live: u64) {
+        let wide = &self.tracer.bvh.nodes[node as usize];
+        let seen = self.frustum.meet(wide);
+        for lane in 0..WIDTH {
+            let blocks = seen.blocks[lane] & live;
+            if blocks == 0 {
+                continue;
+            }
+            let child = wide.child(lane);
+            if seen.keys[lane] < self.window {
+                self.meet(simd, child, live);
+            } else {
+                self.later.push(Later { key: seen.keys[lane], what: Waiting::Child(child), blocks });
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn meet<S: Simd>(&mut self, simd: S, child: Child, live: u64) {
+        let scene = self.tracer.scene;
+        match child {
+            Child::Node(node) => self.open.push(node),
+            Child::Gaussian(index) => {
+                if self.projection.add(&scene.splats, index) {
+                    self.project(simd, live);
+                }
+            }
+            Child::Triangle(index) => {
+                if let Some(candidate) = self.projection.triangle(&scene.meshes, index) {
+                    self.sort_in(candidate, live);
+                }
+            }
+        }
+    }
+
+    /// Projects the Gaussians that were collected.
+    #[inline(always)]
+    fn project<S: Simd>(&mut self, simd: S, live: u64) {
+        for lane in 0..self.projection.project(simd) {
+            if let Some(candidate) = self.projection.candidate(lane) {
+                self.sort_in(candidate, live);
+            }
+        }
+    }
+
+    /// Into the chunk, or to wait.
+    #[inline(always)]
+    fn sort_in(&mut self, candidate: Candidate, live: u64) {
+        let blocks = candidate.blocks & live;
+        if blocks == 0 {
+            return;
+        }
+        if candidate.key_low < self.window {
+            self.chunk.push(candidate);
+            self.colour_last();
+            return;
+        }
+        let slot = match self.free.pop() {
+            Some(slot) => {
+                self.projected[slot as usize] = candidate;
+                slot
+            }
+            None => {
+                self.projected.push(candidate);
+                self.projected.len() as u32 - 1
+            }
+        };
+        self.later.push(Later { key: candidate.key_low, what: Waiting::Projected(slot), blocks });
+    }
+
+    /// Evaluates the colour of the chunk's last candidate, now that it is known to be seen.
+    #[inline(always)]
+    fn colour_last(&mut self) {
+        let Some(added) = self.chunk.last_mut() else { return };
+        if added.is_gaussian() && self.tracer.settings.sh_direction == ShDirection::Mean {
+            let (splats, index) = (&self.tracer.scene.splats, added.index as usize);
+            let direction = (splats.means[index].as_dvec3() - self.projection.origin).normalize().as_vec3();
+            added.colour = sh::evaluate(splats.sh_degree, splats.sh_of(index), direction).to_array();
+        }
+    }
+}

@@ -1,0 +1,318 @@
+//! One ray with any origin, in exact order: in windows of the sort key, nearest first.
+//!
+//! Everything that may contribute with a key inside the window is visited in any order, a stack deep, and what it
+//! contributes is collected; what lies beyond waits. Once a window has been visited, nothing unseen can precede the
+//! contributions inside it: they are sorted and blended, and the next window begins. So the order is exact whatever the
+//! boxes look like, nothing is kept in order that is not blended, a ray ends within a window of where its transmittance
+//! falls below the cut-off, and memory is bounded by what the ray meets.
+//
+// Tried: two priority queues, one of nodes by their lower bound and one of contributions. It opens a tenth fewer nodes
+// and spends twice the time, most of it on mispredicted branches of the queues.
+
+mod responses;
+mod slabs;
+
+use glam::{DVec3, Vec3};
+use pulp::Simd;
+
+use self::responses::{LaneResponse, Responses};
+use self::slabs::Slabs;
+use super::composite::Blender;
+use super::{Radiance, Ray, SurfaceHit, Surfaces, Tile, TileTracer, TraceSettings, triangle};
+use crate::bvh::{Bvh, Child};
+use crate::job::{Order, ShDirection};
+use crate::scene::splats::ALPHA_MIN;
+use crate::scene::{Scene, sh};
+
+/// Traces single rays through the tree.
+pub struct RayTracer<'a> {
+    /// What is traced, in the order that [`Bvh::build`] left it in.
+    pub scene: &'a Scene,
+    /// The tree over `scene`.
+    pub bvh: &'a Bvh,
+    /// What surfaces look like.
+    pub surfaces: &'a dyn Surfaces,
+    /// Order, colour direction, near end and cut-off.
+    pub settings: TraceSettings,
+}
+
+/// Lists that rays use one after another, so that a ray allocates nothing, and what one ray can tell the next.
+pub struct RayScratch {
+    /// Nodes to open in this window.
+    open: Vec<u32>,
+    /// What begins behind this window, with a lower bound on its keys.
+    later: Vec<(f32, Child)>,
+    responses: Responses,
+    events: Vec<Event>,
+    met: Vec<Met>,
+    /// Where the last ray ended: a neighbour's end is likely near it.
+    last_end: f32,
+    origin: DVec3,
+    /// By index modulo [`COLOURS`]: which Gaussian, and its colour as seen from `origin`.
+    colours: Vec<(u32, Vec3)>,
+}
+
+/// Colours kept between rays: what a tile of rays sees of a captured room fits several times.
+const COLOURS: usize = 1 << 13;
+
+impl Default for RayScratch {
+    fn default() -> Self {
+        Self {
+            open: Vec::new(),
+            later: Vec::new(),
+            responses: Responses::default(),
+            events: Vec::new(),
+            met: Vec::new(),
+            last_end: 0.0,
+            origin: DVec3::NAN,
+            colours: vec![(u32::MAX, Vec3::ZERO); COLOURS],
+        }
+    }
+}
+
+impl RayScratch {
+    fn begin(&mut self, origin: DVec3) {
+        self.open.clear();
+        self.later.clear();
+        self.events.clear();
+        self.met.clear();
+        if self.origin != origin {
+            self.origin = origin;
+            self.colours.fill((u32::MAX, Vec3::ZERO));
+        }
+    }
+
+    #[inline(always)]
+    fn meet(&mut self, key: f64, rank: u32, met: Met) {
+        self.events.push(event(key, rank, self.met.len() as u32));
+        self.met.push(met);
+    }
+}
+
+/// Something met along a ray.
+#[derive(Clone, Copy)]
+enum Met {
+    Gaussian { index: u32, alpha: f64, distance: f64 },
+    Surface(SurfaceHit),
+}
+
+/// From the top: a key's bits, a rank for equal keys (Gaussians before triangles, lower indices first, as the reference
+/// has it), and which of [`RayScratch::met`] it is. Keys are not negative, so their bit patterns order as they do.
+type Event = u128;
+
+fn event(key: f64, rank: u32, met: u32) -> Event {
+    u128::from(key.to_bits()) << 64 | u128::from(rank) << 32 | u128::from(met)
+}
+
+/// Ranks of triangles start here; scenes of 2^31 primitives do not fit in memory.
+const TRIANGLE_RANK: u32 = 1 << 31;
+
+/// A window ends this much farther than the one before it: more would visit what is never seen, less would begin
+/// windows for a handful of boxes.
+const WINDOW_GROWTH: f32 = 1.12;
+
+/// Where the first window ends, as a share of the last ray's end.
+const FIRST_WINDOW: f32 = 0.9;
+
+impl RayTracer<'_> {
+    /// Everything along one ray until its transmittance falls below the cut-off.
+    pub fn trace(&self, ray: &Ray, scratch: &mut RayScratch) -> Radiance {
+        pulp::Arch::new().dispatch(TraceRay { tracer: self, ray, scratch })
+    }
+
+    #[inline(always)]
+    fn walk<S: Simd>(&self, simd: S, ray: &Ray, scratch: &mut RayScratch) -> Radiance {
+        let slabs = Slabs::new(ray, self.settings.order);
+        let mut blender = Blender::default();
+        // Nothing with a larger key can be seen: the nearest surface that is surely opaque.
+        let mut horizon = f64::INFINITY;
+        scratch.begin(ray.origin);
+        let mut window = FIRST_WINDOW * scratch.last_end;
+        if !self.bvh.nodes.is_empty() {
+            scratch.open.push(0);
+        }
+        loop {
+            while let Some(index) = scratch.open.pop() {
+                let node = &self.bvh.nodes[index as usize];
+                let met = slabs.meet(node, window);
+                // One kind after another: which kind is next cannot be predicted.
+                for lane in bits(met.later) {
+                    scratch.later.push((met.keys[lane], node.child(lane)));
+                }
+                for lane in bits(met.now & node.nodes) {
+                    scratch.open.push(node.index[lane]);
+                }
+                for lane in bits(met.now & node.gaussians) {
+                    self.meet_gaussian(simd, ray, node.index[lane], scratch);
+                }
+                for lane in bits(met.now & !(node.nodes | node.gaussians)) {
+                    horizon = self.meet_triangle(ray, node.index[lane], horizon, scratch);
+                }
+            }
+            self.meet_batch(simd, ray, scratch);
+            let end = if scratch.later.is_empty() { f64::INFINITY } else { f64::from(window) };
+            if !self.blend_below(end, ray, &mut blender, scratch) || scratch.later.is_empty() {
+                break;
+            }
+            let nearest = scratch.later.iter().fold(f32::INFINITY, |nearest, &(key, _)| nearest.min(key));
+            if f64::from(nearest) > horizon {
+                scratch.later.clear();
+                self.blend_below(f64::INFINITY, ray, &mut blender, scratch);
+                break;
+            }
+            // At least one box more, even if its key is 0 or cannot be told from the window's end.
+            window = (window.max(nearest) * WINDOW_GROWTH).max(f32::MIN_POSITIVE);
+            horizon = self.begin_window(simd, window, ray, horizon, scratch);
+        }
+        blender.finish()
+    }
+
+    /// Visits what waited and begins before `window`; returns the horizon.
+    #[inline(always)]
+    fn begin_window<S: Simd>(
+        &self,
+        simd: S,
+        window: f32,
+        ray: &Ray,
+        mut horizon: f64,
+        scratch: &mut RayScratch,
+    ) -> f64 {
+        let mut waiting = 0;
+        for i in 0..scratch.later.len() {
+            let (key, child) = scratch.later[i];
+            if key >= window {
+                scratch.later[waiting] = (key, child);
+                waiting += 1;
+                continue;
+            }
+            match child {
+                Child::Node(child) => scratch.open.push(child),
+                Child::Gaussian(index) => self.meet_gaussian(simd, ray, index, scratch),
+                Child::Triangle(index) => horizon = self.meet_triangle(ray, index, horizon, scratch),
+            }
+        }
+        scratch.later.truncate(waiting);
+        horizon
+    }
+
+    /// Blends all events with keys below `end`; false once the ray's transmittance is below the cut-off.
+    #[inline(always)]
+    fn blend_below(&self, end: f64, ray: &Ray, blender: &mut Blender, scratch: &mut RayScratch) -> bool {
+        let end = event(end, 0, 0);
+        let mut waiting = 0;
+        for i in 0..scratch.events.len() {
+            let event = scratch.events[i];
+            scratch.events[i] = scratch.events[waiting];
+            scratch.events[waiting] = event;
+            waiting += usize::from(event >= end);
+        }
+        scratch.events[waiting..].sort_unstable();
+        let cutoff = f64::from(self.settings.t_cutoff);
+        for i in waiting..scratch.events.len() {
+            let event = scratch.events[i];
+            match scratch.met[event as u32 as usize] {
+                Met::Gaussian { index, alpha, distance } => {
+                    let colour = self.colour(index, ray, scratch);
+                    blender.splat(alpha, colour, distance);
+                }
+                Met::Surface(hit) => blender.surface(self.surfaces.fragment(ray, &hit), hit.distance),
+            }
+            if blender.transmittance < cutoff || blender.transmittance <= 0.0 {
+                scratch.last_end = f64::from_bits((event >> 64) as u64) as f32;
+                return false;
+            }
+        }
+        scratch.events.truncate(waiting);
+        true
+    }
+
+    #[inline(always)]
+    fn meet_gaussian<S: Simd>(&self, simd: S, ray: &Ray, index: u32, scratch: &mut RayScratch) {
+        if scratch.responses.add(&self.scene.splats, index, ray.origin) {
+            self.meet_batch(simd, ray, scratch);
+        }
+    }
+
+    /// Collects what the Gaussians in the batch contribute.
+    #[inline(always)]
+    fn meet_batch<S: Simd>(&self, simd: S, ray: &Ray, scratch: &mut RayScratch) {
+        let near = f64::from(self.settings.t_near);
+        for lane in 0..scratch.responses.evaluate(simd, ray.direction) {
+            let LaneResponse { index, alpha, distance, mean_from_origin } = scratch.responses.lane(lane);
+            if alpha >= ALPHA_MIN && distance > near {
+                let key = match self.settings.order {
+                    Order::RayHitDistance => distance,
+                    Order::CameraDistance => mean_from_origin.length(),
+                };
+                scratch.meet(key, index, Met::Gaussian { index, alpha, distance });
+            }
+        }
+    }
+
+    /// Returns the horizon, nearer if the triangle is opaque.
+    fn meet_triangle(&self, ray: &Ray, index: u32, horizon: f64, scratch: &mut RayScratch) -> f64 {
+        let corners = self.scene.meshes.corners(index as usize).map(|corner| corner.as_dvec3() - ray.origin);
+        let Some(met) = triangle::intersect(corners, ray.direction) else { return horizon };
+        let seen = met.front || self.surfaces.is_double_sided(index);
+        let distance = met.distance;
+        if !seen || distance <= f64::from(self.settings.t_near) || distance > horizon {
+            return horizon;
+        }
+        let hit = SurfaceHit { triangle: index, barycentric: met.barycentric, front: met.front, distance };
+        scratch.meet(distance, TRIANGLE_RANK | index, Met::Surface(hit));
+        if self.surfaces.is_opaque(index) { distance } else { horizon }
+    }
+
+    /// The Gaussian's colour along the ray. Rays of one probe ask for the same ones again and again.
+    #[inline(always)]
+    fn colour(&self, index: u32, ray: &Ray, scratch: &mut RayScratch) -> DVec3 {
+        let splats = &self.scene.splats;
+        let evaluate =
+            |direction: DVec3| sh::evaluate(splats.sh_degree, splats.sh_of(index as usize), direction.as_vec3());
+        if self.settings.sh_direction == ShDirection::Ray {
+            return evaluate(ray.direction).as_dvec3();
+        }
+        let cached = &mut scratch.colours[index as usize % COLOURS];
+        if cached.0 != index {
+            let direction = (splats.means[index as usize].as_dvec3() - ray.origin).normalize();
+            *cached = (index, evaluate(direction));
+        }
+        cached.1.as_dvec3()
+    }
+}
+
+impl TileTracer for RayTracer<'_> {
+    fn trace_tile(&self, origin: DVec3, tile: &Tile, texels: &mut [Radiance]) {
+        let mut scratch = RayScratch::default();
+        for (texel, direction) in texels.iter_mut().zip(tile.directions()) {
+            *texel = self.trace(&Ray { origin, direction }, &mut scratch);
+        }
+    }
+}
+
+/// The numbers of the bits set, from the lowest.
+#[inline(always)]
+fn bits(mask: u8) -> impl Iterator<Item = usize> {
+    let mut rest = u32::from(mask);
+    std::iter::from_fn(move || {
+        let bit = rest.trailing_zeros() as usize;
+        rest &= rest.wrapping_sub(1);
+        (bit < 32).then_some(bit)
+    })
+}
+
+/// One ray at the machine's best instruction level: a closure would be compiled outside of it.
+struct TraceRay<'a, 'b> {
+    tracer: &'a RayTracer<'b>,
+    ray: &'a Ray,
+    scratch: &'a mut RayScratch,
+}
+
+impl pulp::WithSimd for TraceRay<'_, '_> {
+    type Output = Radiance;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Radiance {
+        self.tracer.walk(simd, self.ray, self.scratch)
+    }
+}

@@ -1,0 +1,100 @@
+//! One ray against the eight boxes of a node.
+
+use glam::Vec3;
+
+use crate::bvh::{Viewpoint, WIDTH, WideNode};
+use crate::job::Order;
+use crate::trace::Ray;
+
+/// Slab distances in f32 carry a few roundings of relative size 6e-8 each; this covers them with room to spare.
+const SLAB_SLACK: f32 = 1e-6;
+
+/// A ray prepared for testing boxes: eight at a time, in f32, conservatively.
+pub(super) struct Slabs {
+    viewpoint: Viewpoint,
+    inverse: Vec3,
+    /// Per axis, from where distances to the nearer planes are measured, and to the farther ones: rounded outward.
+    from: [[f32; 2]; 3],
+    order: Order,
+}
+
+/// The children of a node that a ray meets.
+pub(super) struct Met {
+    /// For each child, a lower bound on the sort keys inside.
+    pub keys: [f32; WIDTH],
+    /// Bit by bit, the children that the ray meets and that begin inside the window.
+    pub now: u8,
+    /// Those that begin behind it.
+    pub later: u8,
+}
+
+impl Slabs {
+    pub fn new(ray: &Ray, order: Order) -> Self {
+        // A component of 1e-20 is as good as 0: over 1e15 m, the end of all boxes, it moves 1e-5 m.
+        let inverse = |d: f64| 1.0 / if d.abs() < 1e-20 { 1e-20f32.copysign(d as f32) } else { d as f32 };
+        let inverse = Vec3::new(inverse(ray.direction.x), inverse(ray.direction.y), inverse(ray.direction.z));
+        let viewpoint = Viewpoint::new(ray.origin);
+        let from = [0, 1, 2].map(|axis| {
+            let (low, high) = (viewpoint.low[axis], viewpoint.high[axis]);
+            if inverse[axis] >= 0.0 { [high, low] } else { [low, high] }
+        });
+        Self { viewpoint, inverse, from, order }
+    }
+
+    /// Which of a node's children the ray meets.
+    #[inline(always)]
+    pub fn meet(&self, node: &WideNode, window: f32) -> Met {
+        let mut enter = [0.0f32; WIDTH];
+        let mut exit = [f32::INFINITY; WIDTH];
+        for axis in 0..3 {
+            let ([near_from, far_from], inverse) = (self.from[axis], self.inverse[axis]);
+            let forward = inverse >= 0.0;
+            let near_planes = if forward { &node.min[axis] } else { &node.max[axis] };
+            let far_planes = if forward { &node.max[axis] } else { &node.min[axis] };
+            // Apart, and with plain comparisons: that is what becomes eight lanes.
+            for k in 0..WIDTH {
+                let near = (near_planes[k] - near_from) * inverse;
+                enter[k] = if near > enter[k] { near } else { enter[k] };
+            }
+            for k in 0..WIDTH {
+                let far = (far_planes[k] - far_from) * inverse;
+                exit[k] = if far < exit[k] { far } else { exit[k] };
+            }
+        }
+        let enter = enter.map(|distance| distance * (1.0 - SLAB_SLACK));
+        let keys = match self.order {
+            Order::RayHitDistance => enter,
+            Order::CameraDistance => self.viewpoint.distances(node).map(|distance| distance * (1.0 - SLAB_SLACK)),
+        };
+        // An absent child's box runs from +inf to -inf, so that it is left before it is entered.
+        let (mut inside, mut behind) = ([0.0; WIDTH], [0.0; WIDTH]);
+        for k in 0..WIDTH {
+            inside[k] = exit[k] * (1.0 + SLAB_SLACK) - enter[k];
+            behind[k] = keys[k] - window;
+        }
+        let (hits, begun) = (!sign_bits(inside), sign_bits(behind));
+        Met { keys, now: hits & begun, later: hits & !begun }
+    }
+}
+
+/// Bit by bit, which values are negative.
+#[inline(always)]
+fn sign_bits(values: [f32; WIDTH]) -> u8 {
+    // The compiler takes masks of comparisons apart, bit by bit; this it understands.
+    #[cfg(target_arch = "x86_64")]
+    if let Some(sse) = pulp::core_arch::x86::Sse::try_new() {
+        let [low, high] = bytemuck::cast::<_, [[f32; 4]; 2]>(values);
+        return (sse._mm_movemask_ps(bytemuck::cast(low)) | sse._mm_movemask_ps(bytemuck::cast(high)) << 4) as u8;
+    }
+    values.iter().rev().fold(0, |bits, value| bits << 1 | u8::from(value.is_sign_negative()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sign_bits_are_in_the_order_of_the_lanes() {
+        assert_eq!(sign_bits([-1.0, 2.0, -3.0, 0.0, f32::INFINITY, f32::NEG_INFINITY, 1.0, -1e-40]), 0b1010_0101);
+    }
+}
