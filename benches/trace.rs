@@ -177,7 +177,7 @@ fn display(radiance: &Radiance) -> Vec3 {
 fn load(arguments: &Arguments) -> Scene {
     match &arguments.splats {
         Some(path) => {
-            let input = SplatInput { path: path.into(), frame: None, transform: Transform::default(), encoding: None };
+            let input = SplatInput::new(path);
             ingest::load_scene(&[input], &[]).unwrap_or_else(|error| panic!("{error}")).0
         }
         None => {

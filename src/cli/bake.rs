@@ -17,7 +17,7 @@ use super::progress;
 ///
 /// The job file holds the same settings as the flags (see `splatprobe schema job`); a flag overrides the job file.
 ///
-/// Flags that describe an input (--splat-frame, --splat-transform, --splat-encoding; --mesh-transform, --mesh-scene) belong
+/// Flags that describe an input (--splat-frame, --splat-transform, --splat-encoding, --lod; --mesh-transform, --mesh-scene) belong
 /// to the inputs in order, the first to the first; given once, they belong to all.
 ///
 /// A transform is any of t=X,Y,Z (metres), euler=X,Y,Z (degrees about the fixed X, then Y, then Z axis) or r=X,Y,Z,W (unit
@@ -40,6 +40,9 @@ pub struct Bake {
     /// What the splats' blended colours mean [default: what the format declares, else srgb-display].
     #[arg(long, value_name = "ENCODING", help_heading = "Inputs")]
     splat_encoding: Vec<SplatEncoding>,
+    /// Level of detail of a splat file that has several (streamed SOG); 0 is the finest [default: 0].
+    #[arg(long, value_name = "N", help_heading = "Inputs")]
+    lod: Vec<u32>,
     /// glTF file; repeat it for more. Replaces the job file's.
     #[arg(long, value_name = "FILE", help_heading = "Inputs")]
     mesh: Vec<PathBuf>,
@@ -129,6 +132,7 @@ impl Bake {
         describe("--splat-frame", self.splat_frame, &mut job.splats, |input, frame| input.frame = Some(frame))?;
         describe("--splat-transform", self.splat_transform, &mut job.splats, |input, world| input.transform = world)?;
         describe("--splat-encoding", self.splat_encoding, &mut job.splats, |input, it| input.encoding = Some(it))?;
+        describe("--lod", self.lod, &mut job.splats, |input, lod| input.lod = Some(lod))?;
         if !self.mesh.is_empty() {
             job.meshes = self.mesh.into_iter().map(MeshInput::new).collect();
         }
@@ -234,13 +238,14 @@ mod tests {
         let path = folder.path().join("job.json");
         let text = r#"{"splats": [{"path": "a.ply"}], "placement": {"probes": [[1, 2, 3]]}, "faceSize": 8}"#;
         std::fs::write(&path, text).unwrap();
-        let line = "--splats b.ply --splat-frame rub --splat-transform s=2 --splat-encoding lin-scene --mesh c.glb \
+        let line = "--splats b.ply --splat-frame rub --splat-transform s=2 --splat-encoding lin-scene --lod 2 --mesh c.glb \
             --mesh-transform t=1,2,3 --mesh-scene 1 --background 1,2,3 -o out --pixel float --distance --stats s.json \
             --bounds -1,-2,-3,1,2,3 --grid 2,3,4 --overlap 0.5 --face-size 16 --samples 2 --order cameraDistance \
             --sh-direction ray --t-cutoff 0 --t-near 0.5 --surface unlit --tracer reference --threads 3 --progress json";
         let line: Vec<&str> = [path.to_str().unwrap()].into_iter().chain(line.split_whitespace()).collect();
         let expected = r#"{
-            "splats": [{"path": "b.ply", "frame": "rub", "transform": {"scale": [2, 2, 2]}, "encoding": "lin-scene"}],
+            "splats": [{"path": "b.ply", "frame": "rub", "transform": {"scale": [2, 2, 2]}, "encoding": "lin-scene",
+                "lod": 2}],
             "meshes": [{"path": "c.glb", "transform": {"translation": [1, 2, 3]}, "scene": "1"}],
             "output": "out", "stats": "s.json", "progress": "json", "threads": 3, "background": [1, 2, 3],
             "pixel": "float", "distance": true, "faceSize": 16, "samples": 2, "order": "cameraDistance",

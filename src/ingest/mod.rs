@@ -6,6 +6,7 @@ mod gather;
 mod ply;
 mod report;
 mod sanitize;
+mod sog;
 mod source;
 
 use std::fs::File;
@@ -26,6 +27,7 @@ use crate::scene::{Meshes, Scene, SplatEncoding, Splats};
 
 pub use report::{Quantiles, SceneReport, SplatReport};
 pub use sanitize::Dropped;
+pub use sog::index_file;
 
 /// Gaussians decoded at a time by one thread.
 const CHUNK: usize = 4096;
@@ -103,7 +105,7 @@ struct Opened<'a> {
 impl<'a> Opened<'a> {
     /// Opens input number `i`.
     fn new(i: usize, input: &'a SplatInput) -> Result<Self> {
-        let file = open(&input.path)?;
+        let file = open(i, input)?;
         let frame = input.frame.unwrap_or(file.frame);
         let encoding = input.encoding.unwrap_or(file.encoding);
         let field = format!("splats[{i}].transform");
@@ -215,21 +217,31 @@ fn origin_for(bounds: Bounds) -> DVec3 {
     (bounds.centre() / unit).round() * unit
 }
 
-/// Opens a splat file of whichever supported format its first bytes show.
-fn open(path: &Path) -> Result<SplatFile> {
+/// Opens the splat file of input number `i`, of whichever supported format its first bytes show.
+fn open(i: usize, input: &SplatInput) -> Result<SplatFile> {
+    let path = &*index_file(&input.path);
     let bytes = map(path)?;
+    let lod_field = format!("splats[{i}].lod");
+    if sog::is_streamed(&bytes) {
+        return sog::open_streamed(path, &bytes, input.lod.unwrap_or(0), &lod_field);
+    }
+    if input.lod.is_some() {
+        return Err(Error::request(lod_field, format!("{} has no levels of detail: leave it out", path.display())));
+    }
     if bytes.starts_with(ply::MAGIC) {
         return ply::open(path, bytes);
     }
-    const ADVICE: &str = "supported splat format: PLY as 3DGS training writes it";
-    let known: [(&[u8], &str); 7] = [
+    if sog::is_sog(&bytes) {
+        return sog::open(path, bytes);
+    }
+    const ADVICE: &str = "supported splat formats: PLY as 3DGS training writes it, SOG";
+    let known: [(&[u8], &str); 6] = [
         (b"\x1f\x8b", "gzip data (.spz up to version 3)"),
         (b"NGSP", ".spz version 4"),
-        (b"PK\x03\x04", "a zip archive (.sog or .usdz)"),
         (b"glTF", "binary glTF"),
         (b"PXR-USDC", "binary USD"),
         (b"#usda", "text USD"),
-        (b"{", "JSON (glTF or streamed SOG)"),
+        (b"{", "JSON (glTF?)"),
     ];
     match known.iter().find(|(magic, _)| bytes.starts_with(magic)) {
         Some((_, name)) => Err(Error::unsupported(path, format!("{name} as a splat input; {ADVICE}"))),

@@ -23,12 +23,15 @@ pub struct SplatInput {
     /// What the colours mean. Default: what the format declares, else `srgb-display`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub encoding: Option<SplatEncoding>,
+    /// Level of detail of a file that has several (streamed SOG); 0 is the finest. Default: 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lod: Option<u32>,
 }
 
 impl SplatInput {
     /// A file as its format declares it, standing where it says.
     pub fn new(path: impl Into<PathBuf>) -> Self {
-        Self { path: path.into(), frame: None, transform: Transform::default(), encoding: None }
+        Self { path: path.into(), frame: None, transform: Transform::default(), encoding: None, lod: None }
     }
 }
 

@@ -148,7 +148,7 @@ fn input_records(job: &Job, scene: &SceneReport) -> Result<Vec<InputRecord>> {
             if let Some(fields) = report.as_object_mut() {
                 fields.remove("path");
             }
-            let (bytes, blake3) = manifest::digest(path)?;
+            let (bytes, blake3) = manifest::digest(&ingest::index_file(path))?;
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             Ok(InputRecord { path: name, bytes, blake3, report })
         })

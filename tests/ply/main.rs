@@ -16,7 +16,7 @@ use splatprobe::scene::{Scene, SplatEncoding, sh};
 use builder::{Builder, Encoding, Others, splats, value};
 
 fn input(path: &Path) -> SplatInput {
-    SplatInput { path: path.into(), frame: None, transform: Transform::default(), encoding: None }
+    SplatInput::new(path)
 }
 
 /// Loads `bytes` as a file, with changes to the input.
