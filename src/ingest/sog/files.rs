@@ -96,9 +96,7 @@ impl Files {
     /// [`Error::Invalid`] when the name leads out, or no such file can be read.
     pub fn read(&self, name: &str) -> Result<Content<'_>> {
         match &self.place {
-            Place::Folder(folder) => {
-                super::super::map(&inside(&self.path, folder, name)?).map(Content::Mapped)
-            }
+            Place::Folder(folder) => super::super::map(&inside(&self.path, folder, name)?).map(Content::Mapped),
             Place::Archive(entries) => {
                 let entry = entries.get(name).ok_or_else(|| {
                     let what = match name {

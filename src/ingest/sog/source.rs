@@ -155,8 +155,8 @@ impl SplatSource for SogRange {
             let fault = |what: String| Error::invalid(&self.sog.path, format!("Gaussian {i}"), what);
 
             gaussian.mean = DVec3::from_array([0, 1, 2].map(|axis| meta.means[axis].coordinate(high[axis], low[axis])));
-            gaussian.rotation = rotation(quat)
-                .ok_or_else(|| fault(format!("rotation mode {}; there are 252 to 255", quat[3])))?;
+            gaussian.rotation =
+                rotation(quat).ok_or_else(|| fault(format!("rotation mode {}; there are 252 to 255", quat[3])))?;
             let deviation = |axis: usize| meta.scales[axis][usize::from(scale[axis])];
             gaussian.standard_deviations = DVec3::new(deviation(0), deviation(1), deviation(2));
             gaussian.opacity = meta.opacities[usize::from(alpha(sh0))];

@@ -53,8 +53,8 @@ type Ranges = BTreeMap<usize, Vec<Range<usize>>>;
 /// [`Error::Request`] in `field` when there are not so many levels; [`Error::Invalid`] when the tree and the SOGs do not
 /// fit together; those of [`super::open`] for each SOG.
 pub(in super::super) fn open(path: &Path, bytes: &[u8], lod: u32, field: &str) -> Result<SplatFile> {
-    let meta: LodMeta = serde_json::from_slice(bytes)
-        .map_err(|error| Error::invalid(path, "lod-meta.json", error.to_string()))?;
+    let meta: LodMeta =
+        serde_json::from_slice(bytes).map_err(|error| Error::invalid(path, "lod-meta.json", error.to_string()))?;
     if let Some(version) = meta.version.filter(|version| version.as_u64() != Some(1)) {
         return Err(Error::unsupported(path, format!("streamed SOG version {version}; this program reads 1")));
     }
@@ -126,7 +126,8 @@ fn parts_of(path: &Path, file: &Path, ranges: Option<&[Range<usize>]>) -> Result
     let ranges = ranges.unwrap_or(std::slice::from_ref(&all));
     let part = |range: &Range<usize>| {
         if range.end > all.end {
-            let what = format!("Gaussians {} to {} of {}, which has {}", range.start, range.end, file.display(), all.end);
+            let what =
+                format!("Gaussians {} to {} of {}, which has {}", range.start, range.end, file.display(), all.end);
             return Err(Error::invalid(path, "tree", what));
         }
         let source = Box::new(SogRange::new(sog.clone(), range.clone()));
