@@ -29,7 +29,8 @@ pub fn ply() -> Vec<u8> {
     let names = names.chain((0..3).map(|k| format!("scale_{k}"))).chain((0..4).map(|k| format!("rot_{k}")));
     let properties: String = names.map(|name| format!("property float {name}\n")).collect();
     let mut bytes =
-        format!("ply\nformat binary_little_endian 1.0\nelement vertex {GAUSSIANS}\n{properties}end_header\n").into_bytes();
+        format!("ply\nformat binary_little_endian 1.0\nelement vertex {GAUSSIANS}\n{properties}end_header\n")
+            .into_bytes();
     for i in 0..GAUSSIANS {
         bytes.extend(row(i).iter().flat_map(|&value| (value as f32).to_le_bytes()));
     }
@@ -79,8 +80,8 @@ fn patch_of(direction: DVec3) -> u64 {
 fn coefficient(patch: u64, k: u64) -> f64 {
     let step = 1 + Random(2_000_000 + patch * 45 + k).bits() % 3;
     // Mostly of one sign over the scene, which neighbours in a band do not share: a wrong sign or order shows everywhere.
-    let mostly = if (k % 15) % 2 == 0 { 1.0 } else { -1.0 };
-    let sign = if Random(3_000_000 + patch * 45 + k).bits() % 4 == 0 { -mostly } else { mostly };
+    let mostly = if (k % 15).is_multiple_of(2) { 1.0 } else { -1.0 };
+    let sign = if Random(3_000_000 + patch * 45 + k).bits().is_multiple_of(4) { -mostly } else { mostly };
     sign * step as f64 / 8.0
 }
 

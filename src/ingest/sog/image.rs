@@ -2,7 +2,6 @@
 
 use std::io::Cursor;
 use std::ops::{Range, RangeInclusive};
-use std::slice::ChunksExact;
 
 use image_webp::WebPDecoder;
 
@@ -48,8 +47,14 @@ impl Image {
         Ok(Self { width, height, channels, bytes })
     }
 
-    /// Pixels by number, which must be there: red, green, blue and, where the file has it, alpha.
-    pub fn pixels(&self, range: Range<usize>) -> ChunksExact<'_, u8> {
-        self.bytes[range.start * self.channels..range.end * self.channels].chunks_exact(self.channels)
+    /// Pixels by number, which must be there: red, green, blue, alpha.
+    pub fn pixels(&self, range: Range<usize>) -> impl Iterator<Item = [u8; 4]> + Clone + '_ {
+        let bytes = &self.bytes[range.start * self.channels..range.end * self.channels];
+        bytes.chunks_exact(self.channels).map(|pixel| match *pixel {
+            [red, green, blue, alpha] => [red, green, blue, alpha],
+            [red, green, blue, ..] => [red, green, blue, u8::MAX],
+            // There are 3 or 4 channels.
+            _ => [0; 4],
+        })
     }
 }

@@ -45,7 +45,8 @@ pub(super) struct FileNames {
 pub(super) struct PaletteMeta {
     /// Entries and degree; version 1 leaves both to the image's size.
     pub size: Option<(usize, u8)>,
-    pub coefficients: Table<f32>,
+    /// Of coefficients.
+    pub values: Table<f32>,
     pub centroids_file: String,
     pub labels_file: String,
 }
@@ -194,8 +195,8 @@ impl From<MetaV1> for Meta {
         let colour = |c: usize| even(meta.sh0.mins[c], meta.sh0.maxs[c]);
         let palette = meta.sh_n.map(|palette| {
             let [centroids_file, labels_file] = palette.files;
-            let coefficients = even(palette.mins, palette.maxs).map(|value| value as f32);
-            PaletteMeta { size: None, coefficients, centroids_file, labels_file }
+            let values = even(palette.mins, palette.maxs).map(|value| value as f32);
+            PaletteMeta { size: None, values, centroids_file, labels_file }
         });
         Self {
             version: 1,
@@ -219,9 +220,9 @@ impl MetaV2 {
                 return Err(Error::unsupported(path, what));
             }
             let [centroids_file, labels_file] = palette.files;
-            let coefficients = codebook(path, "shN", &palette.codebook)?.map(|value| value as f32);
+            let values = codebook(path, "shN", &palette.codebook)?.map(|value| value as f32);
             let size = Some((palette.count, palette.bands));
-            Ok(PaletteMeta { size, coefficients, centroids_file, labels_file })
+            Ok(PaletteMeta { size, values, centroids_file, labels_file })
         });
         Ok(Meta {
             version: 2,

@@ -45,6 +45,8 @@ struct Palette {
     labels: Image,
     /// Per entry and coefficient above band 0, in order: red, green, blue.
     centroids: Image,
+    /// What the centroids' bytes mean.
+    values: [f32; 256],
     /// Entries that labels may name.
     count: usize,
     degree: u8,
@@ -78,9 +80,11 @@ impl Sog {
         let centroids = centroids?;
         let mut next = || images.next().ok_or_else(|| files.invalid("meta.json", "an image is missing"));
         let (means_low, means_high, quats, scales, sh0) = (next()?, next()?, next()?, next()?, next()?);
-        let palette = match centroids {
-            None => None,
-            Some((centroids, count, degree)) => Some(Palette { labels: next()?, centroids, count, degree }),
+        let palette = match (centroids, &meta.palette) {
+            (Some((centroids, count, degree)), Some(PaletteMeta { values, .. })) => {
+                Some(Palette { labels: next()?, centroids, values: *values, count, degree })
+            }
+            _ => None,
         };
         Ok(Self { path: files.path().into(), meta, means_low, means_high, quats, scales, sh0, palette })
     }
@@ -141,40 +145,39 @@ impl SplatSource for SogRange {
     }
 
     fn for_each_in_chunk(&self, chunk: usize, sink: &mut dyn FnMut(&mut FileGaussian)) -> Result<()> {
-        let Sog { meta, palette, .. } = &*self.sog;
         let first = self.range.start + chunk * CHUNK;
         let range = first..(first + CHUNK).min(self.range.end);
-        let stride = coefficient_count(self.sh_degree());
-        let mut labels = palette.as_ref().map(|palette| palette.labels.pixels(range.clone()));
+        let Sog { meta, palette, .. } = &*self.sog;
         let images = [&self.sog.means_low, &self.sog.means_high, &self.sog.quats, &self.sog.scales, &self.sog.sh0];
-        let [mut lows, mut highs, mut quats, mut scales, mut sh0s] = images.map(|image| image.pixels(range.clone()));
+        let [lows, highs, quats, scales, sh0s] = images.map(|image| image.pixels(range.clone()));
+        let mut labels = palette.iter().flat_map(|palette| palette.labels.pixels(range.clone()));
+        let stride = coefficient_count(self.sh_degree());
         let mut gaussian = FileGaussian::default();
-        for i in range {
-            let pixels = (lows.next(), highs.next(), quats.next(), scales.next(), sh0s.next());
-            let (Some(low), Some(high), Some(quat), Some(scale), Some(sh0)) = pixels else { break };
+        for (i, ((((low, high), quat), scale), sh0)) in
+            range.clone().zip(lows.zip(highs).zip(quats).zip(scales).zip(sh0s))
+        {
             let fault = |what: String| Error::invalid(&self.sog.path, format!("Gaussian {i}"), what);
-
-            gaussian.mean = DVec3::from_array([0, 1, 2].map(|axis| meta.means[axis].coordinate(high[axis], low[axis])));
+            let coordinate = |axis: usize| meta.means[axis].coordinate(high[axis], low[axis]);
+            gaussian.mean = DVec3::new(coordinate(0), coordinate(1), coordinate(2));
             gaussian.rotation =
                 rotation(quat).ok_or_else(|| fault(format!("rotation mode {}; there are 252 to 255", quat[3])))?;
             let deviation = |axis: usize| meta.scales[axis][usize::from(scale[axis])];
             gaussian.standard_deviations = DVec3::new(deviation(0), deviation(1), deviation(2));
-            gaussian.opacity = meta.opacities[usize::from(alpha(sh0))];
-            for c in 0..3 {
-                gaussian.coefficients[c * stride] = meta.colours[c][usize::from(sh0[c])];
+            gaussian.opacity = meta.opacities[usize::from(sh0[3])];
+            let channels = gaussian.coefficients.chunks_exact_mut(stride);
+            for ((channel, table), byte) in channels.zip(&meta.colours).zip(sh0) {
+                channel[0] = table[usize::from(byte)];
             }
-            if let (Some(palette), Some(label), Some(table)) =
-                (palette, labels.as_mut().and_then(Iterator::next), &meta.palette)
-            {
-                let label = usize::from(u16::from_le_bytes([label[0], label[1]]));
+            if let (Some(palette), Some([low, high, ..])) = (palette, labels.next()) {
+                let label = usize::from(u16::from_le_bytes([low, high]));
                 if label >= palette.count {
                     return Err(fault(format!("palette label {label}; the palette has {} entries", palette.count)));
                 }
                 // Rows are whole entries, so that entries follow one another.
                 let entry = palette.centroids.pixels(label * (stride - 1)..(label + 1) * (stride - 1));
-                for (k, centroid) in entry.enumerate() {
-                    for c in 0..3 {
-                        gaussian.coefficients[c * stride + 1 + k] = table.coefficients[usize::from(centroid[c])];
+                for (c, channel) in gaussian.coefficients.chunks_exact_mut(stride).take(3).enumerate() {
+                    for (coefficient, pixel) in channel[1..].iter_mut().zip(entry.clone()) {
+                        *coefficient = palette.values[usize::from(pixel[c])];
                     }
                 }
             }
@@ -184,18 +187,14 @@ impl SplatSource for SogRange {
     }
 }
 
-fn alpha(pixel: &[u8]) -> u8 {
-    pixel.get(3).copied().unwrap_or(u8::MAX)
-}
-
 /// The quaternion whose three smaller components, in the order w x y z, are red, green and blue, from -sqrt(1/2) to
 /// sqrt(1/2); alpha tells which one is left out, which is the rest of a unit's length. `None` for an unknown alpha.
-fn rotation(pixel: &[u8]) -> Option<DQuat> {
+fn rotation(pixel: [u8; 4]) -> Option<DQuat> {
     static COMPONENT: LazyLock<[f64; 256]> =
         LazyLock::new(|| std::array::from_fn(|byte| (byte as f64 / 127.5 - 1.0) * FRAC_1_SQRT_2));
     let [a, b, c] = [0, 1, 2].map(|i| COMPONENT[usize::from(pixel[i])]);
     let largest = (1.0 - (a * a + b * b + c * c)).max(0.0).sqrt();
-    let (w, x, y, z) = match alpha(pixel) {
+    let (w, x, y, z) = match pixel[3] {
         252 => (largest, a, b, c),
         253 => (a, largest, b, c),
         254 => (a, b, largest, c),
