@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use splatprobe::bvh::Bvh;
 use splatprobe::generate::{InteriorSettings, ROOM, interior};
 use splatprobe::ingest;
-use splatprobe::job::{Order, SplatInput, Transform};
+use splatprobe::job::{Order, SplatInput};
 use splatprobe::scene::{Scene, colour};
 use splatprobe::shade::UnlitSurfaces;
 use splatprobe::trace::{
