@@ -43,9 +43,9 @@ pub(super) struct Sog {
 struct Palette {
     /// Per Gaussian, the number of its entry.
     labels: Image,
-    /// Per entry and coefficient above band 0, in order: red, green, blue.
-    centroids: Image,
-    /// What the centroids' bytes mean.
+    /// Per entry red's, green's and blue's coefficients above band 0.
+    entries: Vec<u8>,
+    /// What the entries' bytes mean.
     values: [f32; 256],
     /// Entries that labels may name.
     count: usize,
@@ -81,9 +81,7 @@ impl Sog {
         let mut next = || images.next().ok_or_else(|| files.invalid("meta.json", "an image is missing"));
         let (means_low, means_high, quats, scales, sh0) = (next()?, next()?, next()?, next()?, next()?);
         let palette = match (centroids, &meta.palette) {
-            (Some((centroids, count, degree)), Some(PaletteMeta { values, .. })) => {
-                Some(Palette { labels: next()?, centroids, values: *values, count, degree })
-            }
+            (Some(centroids), Some(meta)) => Some(Palette::new(next()?, centroids, meta)),
             _ => None,
         };
         Ok(Self { path: files.path().into(), meta, means_low, means_high, quats, scales, sh0, palette })
@@ -98,8 +96,23 @@ impl Sog {
     }
 }
 
-/// The palette's image, how many entries labels may name, and its degree.
-fn read_centroids(files: &Files, meta: &PaletteMeta) -> Result<(Image, usize, u8)> {
+impl Palette {
+    fn new(labels: Image, (centroids, degree): (Image, u8), meta: &PaletteMeta) -> Self {
+        let held = PALETTE_ROW * centroids.height;
+        let above_band_0 = coefficient_count(degree) - 1;
+        let mut entries = Vec::with_capacity(3 * held * above_band_0);
+        for entry in 0..held {
+            // Rows are whole entries, so that entries follow one another.
+            let pixels = centroids.pixels(entry * above_band_0..(entry + 1) * above_band_0);
+            (0..3).for_each(|c| entries.extend(pixels.clone().map(|pixel| pixel[c])));
+        }
+        let count = meta.size.map_or(held, |(count, _)| count.min(held));
+        Self { labels, entries, values: meta.values, count, degree }
+    }
+}
+
+/// The image of the palette's coefficients and their degree.
+fn read_centroids(files: &Files, meta: &PaletteMeta) -> Result<(Image, u8)> {
     /// Labels have 16 bits.
     const MOST: usize = 1 << 16;
     let above_band_0 = |degree: u8| coefficient_count(degree) - 1;
@@ -108,12 +121,13 @@ fn read_centroids(files: &Files, meta: &PaletteMeta) -> Result<(Image, usize, u8
     let most = MOST * above_band_0(degree.unwrap_or(3));
     let image = Image::decode(files, name, &files.read(name)?, 1..=most)?;
     let fits = |degree: &u8| image.width == PALETTE_ROW * above_band_0(*degree);
-    let Some(degree) = (1..=3).filter(|one| degree.is_none_or(|degree| degree == *one)).find(fits) else {
-        let what = format!("{} pixels wide; degree 1, 2, 3 has 192, 512, 960", image.width);
-        return Err(files.invalid(name, what));
-    };
-    let held = PALETTE_ROW * image.height;
-    Ok((image, meta.size.map_or(held, |(count, _)| count.min(held)), degree))
+    match (1..=3).filter(|one| degree.is_none_or(|degree| degree == *one)).find(fits) {
+        Some(degree) => Ok((image, degree)),
+        None => {
+            let what = format!("{} pixels wide; degree 1, 2, 3 has 192, 512, 960", image.width);
+            Err(files.invalid(name, what))
+        }
+    }
 }
 
 /// Gaussians of a SOG that follow one another.
@@ -173,11 +187,11 @@ impl SplatSource for SogRange {
                 if label >= palette.count {
                     return Err(fault(format!("palette label {label}; the palette has {} entries", palette.count)));
                 }
-                // Rows are whole entries, so that entries follow one another.
-                let entry = palette.centroids.pixels(label * (stride - 1)..(label + 1) * (stride - 1));
-                for (c, channel) in gaussian.coefficients.chunks_exact_mut(stride).take(3).enumerate() {
-                    for (coefficient, pixel) in channel[1..].iter_mut().zip(entry.clone()) {
-                        *coefficient = palette.values[usize::from(pixel[c])];
+                let entry = &palette.entries[3 * label * (stride - 1)..3 * (label + 1) * (stride - 1)];
+                let channels = gaussian.coefficients.chunks_exact_mut(stride);
+                for (channel, bytes) in channels.zip(entry.chunks_exact(stride - 1)) {
+                    for (coefficient, &byte) in channel[1..].iter_mut().zip(bytes) {
+                        *coefficient = palette.values[usize::from(byte)];
                     }
                 }
             }
@@ -192,14 +206,11 @@ impl SplatSource for SogRange {
 fn rotation(pixel: [u8; 4]) -> Option<DQuat> {
     static COMPONENT: LazyLock<[f64; 256]> =
         LazyLock::new(|| std::array::from_fn(|byte| (byte as f64 / 127.5 - 1.0) * FRAC_1_SQRT_2));
+    /// Where w x y z stand among the three and the one left out. A branch would be mispredicted as often as not.
+    const ORDER: [[usize; 4]; 4] = [[3, 0, 1, 2], [0, 3, 1, 2], [0, 1, 3, 2], [0, 1, 2, 3]];
     let [a, b, c] = [0, 1, 2].map(|i| COMPONENT[usize::from(pixel[i])]);
     let largest = (1.0 - (a * a + b * b + c * c)).max(0.0).sqrt();
-    let (w, x, y, z) = match pixel[3] {
-        252 => (largest, a, b, c),
-        253 => (a, largest, b, c),
-        254 => (a, b, largest, c),
-        255 => (a, b, c, largest),
-        _ => return None,
-    };
+    let components = [a, b, c, largest];
+    let [w, x, y, z] = ORDER.get(usize::from(pixel[3].checked_sub(252)?))?.map(|i: usize| components[i]);
     Some(DQuat::from_xyzw(x, y, z, w))
 }
