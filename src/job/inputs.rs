@@ -6,6 +6,7 @@ use glam::{DAffine3, DMat3, DQuat, DVec3, EulerRot};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::Crop;
 use crate::scene::SplatEncoding;
 
 /// A splat file and how it stands in the world.
@@ -20,19 +21,34 @@ pub struct SplatInput {
     /// World from canonical file coordinates. Default: identity.
     #[serde(default, skip_serializing_if = "Transform::is_identity")]
     pub transform: Transform,
-    /// What the colours mean. Default: what the format declares, else `srgb-display`.
+    /// What the colours mean; inputs of one scene may differ. Default: what the format declares, else `srgb-display`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub encoding: Option<SplatEncoding>,
+    /// Only Gaussians whose mean lies inside are kept. Default: all.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub crop: Option<Crop>,
+    /// Gaussians with a lower peak opacity, 0 to 1, are dropped. Default: 0, so that only what is never seen is (below
+    /// 1/255).
+    #[serde(default, skip_serializing_if = "super::is_default")]
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub min_opacity: f64,
 }
 
 impl SplatInput {
     /// A file as its format declares it, standing where it says.
     pub fn new(path: impl Into<PathBuf>) -> Self {
-        Self { path: path.into(), frame: None, transform: Transform::default(), encoding: None }
+        Self {
+            path: path.into(),
+            frame: None,
+            transform: Transform::default(),
+            encoding: None,
+            crop: None,
+            min_opacity: 0.0,
+        }
     }
 }
 
-/// A glTF file and how it stands in the world.
+/// A mesh file and how it stands in the world.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, rename_all = "camelCase")]
 pub struct MeshInput {

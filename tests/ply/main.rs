@@ -10,13 +10,13 @@ use std::path::{Path, PathBuf};
 use glam::{DVec3, Vec3};
 use splatprobe::Error;
 use splatprobe::ingest::{SceneReport, inspect_splats, load_scene};
-use splatprobe::job::{Frame, SplatInput, Transform};
+use splatprobe::job::{Frame, SplatInput};
 use splatprobe::scene::{Scene, SplatEncoding, sh};
 
 use builder::{Builder, Encoding, Others, splats, value};
 
 fn input(path: &Path) -> SplatInput {
-    SplatInput { path: path.into(), frame: None, transform: Transform::default(), encoding: None }
+    SplatInput::new(path)
 }
 
 /// Loads `bytes` as a file, with changes to the input.
