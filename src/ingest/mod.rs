@@ -9,6 +9,7 @@ mod requests;
 mod sanitize;
 mod source;
 mod splats;
+mod usd;
 
 use std::fs::File;
 use std::path::Path;
@@ -112,18 +113,18 @@ fn open(path: &Path, scene: Option<&str>) -> Result<SplatFile> {
     if gltf::is_gltf(&bytes) {
         return gltf::open_splats(path, scene);
     }
+    if usd::is_usd(&bytes) {
+        return usd::open_splats(path);
+    }
     if bytes.starts_with(ply::MAGIC) {
         return ply::open(path, bytes);
     }
-    const ADVICE: &str = "supported splat format: PLY as 3DGS training writes it";
-    let known: [(&[u8], &str); 7] = [
+    const ADVICE: &str = "supported splat formats: PLY as 3DGS training writes it, glTF, USD";
+    let known: [(&[u8], &str); 4] = [
         (b"\x1f\x8b", "gzip data (.spz up to version 3)"),
         (b"NGSP", ".spz version 4"),
-        (b"PK\x03\x04", "a zip archive (.sog or .usdz)"),
-        (b"glTF", "binary glTF"),
-        (b"PXR-USDC", "binary USD"),
-        (b"#usda", "text USD"),
-        (b"{", "JSON (glTF or streamed SOG)"),
+        (b"PK\x03\x04", "a zip archive (.sog)"),
+        (b"{", "JSON (streamed SOG)"),
     ];
     match known.iter().find(|(magic, _)| bytes.starts_with(magic)) {
         Some((_, name)) => Err(Error::unsupported(path, format!("{name} as a splat input; {ADVICE}"))),

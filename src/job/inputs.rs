@@ -178,6 +178,8 @@ impl Frame {
     pub const RDF: Self = Self { letters: *b"rdf" };
     /// +X right, +Y up, +Z back: glTF and this program.
     pub const RUB: Self = Self { letters: *b"rub" };
+    /// +X right, +Y forward, +Z up: USD stages whose up axis is Z.
+    pub const RFU: Self = Self { letters: *b"rfu" };
 
     /// Canonical from file coordinates: a signed permutation, which may mirror.
     pub fn canonical_from_file(self) -> DMat3 {
