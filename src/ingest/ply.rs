@@ -33,6 +33,7 @@ pub(super) fn open(path: &Path, bytes: Mmap) -> Result<SplatFile> {
         format: format!("PLY {}", ply.encoding.name()),
         frame: Frame::RDF,
         encoding: SplatEncoding::SrgbDisplay,
+        order: None,
         parts: SplatPart::whole(ply),
     })
 }

@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
-use crate::job::{Frame, Transform};
+use crate::job::{Crop, Frame, Transform};
 use crate::scene::Splats;
 use crate::scene::sh::{MAX_COEFFICIENTS, ShRotation, coefficient_count};
 use crate::scene::splats::ALPHA_MIN;
@@ -49,12 +49,21 @@ pub struct Dropped {
     pub degenerate_scale: u64,
     /// The opacity is below 1/255, so that nothing of it is ever seen.
     pub transparent: u64,
+    /// The opacity is below what the request asks for.
+    pub below_min_opacity: u64,
+    /// The mean lies outside of the region that the request asks for.
+    pub cropped: u64,
 }
 
 impl Dropped {
     /// All reasons together.
     pub fn total(&self) -> u64 {
-        self.non_finite + self.zero_rotation + self.degenerate_scale + self.transparent
+        self.non_finite
+            + self.zero_rotation
+            + self.degenerate_scale
+            + self.transparent
+            + self.below_min_opacity
+            + self.cropped
     }
 
     pub(super) fn count(&mut self, reason: Reason) {
@@ -63,6 +72,8 @@ impl Dropped {
             Reason::ZeroRotation => &mut self.zero_rotation,
             Reason::DegenerateScale => &mut self.degenerate_scale,
             Reason::Transparent => &mut self.transparent,
+            Reason::BelowMinOpacity => &mut self.below_min_opacity,
+            Reason::Cropped => &mut self.cropped,
         } += 1;
     }
 }
@@ -73,6 +84,8 @@ impl std::ops::AddAssign for Dropped {
         self.zero_rotation += other.zero_rotation;
         self.degenerate_scale += other.degenerate_scale;
         self.transparent += other.transparent;
+        self.below_min_opacity += other.below_min_opacity;
+        self.cropped += other.cropped;
     }
 }
 
@@ -83,6 +96,29 @@ pub(super) enum Reason {
     ZeroRotation,
     DegenerateScale,
     Transparent,
+    BelowMinOpacity,
+    Cropped,
+}
+
+/// What a request keeps of a file.
+#[derive(Debug, Default, Clone, Copy)]
+pub(super) struct Selection {
+    pub crop: Option<Crop>,
+    pub min_opacity: f64,
+}
+
+impl Selection {
+    /// Whether a Gaussian with its mean at `world`, in metres, and this peak opacity is kept, else why not.
+    #[inline]
+    pub fn check(&self, world: DVec3, opacity: f64) -> std::result::Result<(), Reason> {
+        if opacity < self.min_opacity {
+            return Err(Reason::BelowMinOpacity);
+        }
+        if self.crop.is_some_and(|crop| !crop.contains(world)) {
+            return Err(Reason::Cropped);
+        }
+        Ok(())
+    }
 }
 
 /// Magnitudes up to this, and from its inverse, stay finite and normal in f32 when squared.

@@ -66,6 +66,37 @@ fn files_without_gaussians_of_the_level_are_never_opened() {
 }
 
 #[test]
+fn files_that_the_crop_leaves_out_are_not_decoded_and_the_others_are_cropped() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut index = write(folder.path());
+    index["environment"] = Value::Null;
+    // b lies elsewhere, and its images are gone.
+    let mut far = Builder::new(2, 1, 6);
+    far.meta["means"]["mins"] = json!([4.0, -2.0, 0.5]);
+    far.meta["means"]["maxs"] = json!([5.0, 0.25, 3.0]);
+    far.write_loose(&folder.path().join("b"));
+    std::fs::remove_file(folder.path().join("b/sh0.webp")).expect("removed");
+    std::fs::write(folder.path().join("lod-meta.json"), index.to_string()).expect("written");
+    // The file's axes: right, down, forward. b begins at x = exp(4) - 1 = 53.6.
+    let load = |crop: &str, scale: f64| {
+        let mut input = SplatInput { crop: Some(crop.parse().expect("a region")), ..SplatInput::new(folder.path()) };
+        input.transform.scale = [scale; 3];
+        load_scene(&[input], &[])
+    };
+    let (all, report) = load("box:-10,-10,-30,53.5,10,10", 1.0).expect("loads");
+    assert_eq!((all.splats.len(), report.splats[0].count), (8, 8));
+    load("sphere:0,0,0,107", 2.0).expect("loads");
+    let (some, report) = load("box:-10,-10,-30,0.5,10,10", 1.0).expect("loads");
+    assert!((1..8).contains(&some.splats.len()) && report.splats[0].dropped.cropped == 8 - some.splats.len() as u64);
+    assert!(some.splats.means.iter().all(|mean| mean.x <= 0.5));
+    for reached in ["box:-10,-10,-30,53.7,10,10", "sphere:0,0,0,80"] {
+        assert!(load(reached, 1.0).expect_err("b is needed").to_string().contains("sh0.webp"));
+    }
+    let error = load("sphere:0,500,0,1", 1.0).expect_err("nothing there");
+    assert!(matches!(&error, Error::Request { field, .. } if field == "splats[0].crop"), "{error}");
+}
+
+#[test]
 fn a_level_that_is_not_there_is_a_wrong_request() {
     let folder = tempfile::tempdir().expect("a folder");
     let index = write(folder.path());

@@ -5,9 +5,11 @@
 
 use std::path::Path;
 
+use glam::DVec3;
 use serde::Deserialize;
 
 use crate::error::{Error, Result};
+use crate::scene::bounds::Bounds;
 
 /// What each byte of an image means.
 type Table<T> = [T; 256];
@@ -71,6 +73,15 @@ impl LogAxis {
     pub fn coordinate(&self, high: u8, low: u8) -> f64 {
         let exp = self.high[usize::from(high)] * self.low[usize::from(low)];
         if exp >= 1.0 { exp - 1.0 } else { 1.0 - 1.0 / exp }
+    }
+}
+
+impl Meta {
+    /// The box that no mean can lie outside of, in the file's coordinates.
+    pub fn bounds(&self) -> Bounds {
+        let ends =
+            [0, u8::MAX].map(|byte| DVec3::from_array(self.means.each_ref().map(|axis| axis.coordinate(byte, byte))));
+        Bounds { min: ends[0].min(ends[1]), max: ends[0].max(ends[1]) }
     }
 }
 

@@ -19,6 +19,7 @@ use std::path::{Path, PathBuf};
 use memmap2::Mmap;
 
 use self::files::Files;
+use self::meta::Meta;
 use self::source::{Sog, SogRange};
 use super::source::{SplatFile, SplatPart};
 use crate::error::Result;
@@ -26,6 +27,9 @@ use crate::job::Frame;
 use crate::scene::SplatEncoding;
 
 pub(super) use streamed::open as open_streamed;
+
+/// What the axes of files point at, unless a request says otherwise.
+const FRAME: Frame = Frame::RDF;
 
 /// What a zip archive begins with.
 const ZIP_MAGIC: &[u8] = b"PK\x03\x04";
@@ -62,11 +66,12 @@ pub fn index_file(path: &Path) -> PathBuf {
 /// [`Error::Invalid`](crate::Error::Invalid) when its files are broken or do not hold what `meta.json` promises;
 /// [`Error::Unsupported`](crate::Error::Unsupported) for other versions, and images other than WebP.
 pub(super) fn open(path: &Path, bytes: Mmap) -> Result<SplatFile> {
-    let sog = Sog::read(&Files::new(path, bytes)?)?;
+    let files = Files::new(path, bytes)?;
+    let sog = Sog::read(&files, Meta::parse(path, &files.index()?)?)?;
     Ok(splat_file(format!("SOG version {}", sog.version()), SplatPart::whole(SogRange::all(sog))))
 }
 
 /// The format declares neither frame nor encoding.
 fn splat_file(format: String, parts: Vec<SplatPart>) -> SplatFile {
-    SplatFile { format, frame: Frame::RDF, encoding: SplatEncoding::SrgbDisplay, parts }
+    SplatFile { format, frame: FRAME, encoding: SplatEncoding::SrgbDisplay, order: None, parts }
 }

@@ -53,12 +53,11 @@ struct Palette {
 }
 
 impl Sog {
-    /// Decodes all images of a SOG, on all threads.
+    /// Decodes all images of the SOG that `meta` describes, on all threads.
     ///
     /// # Errors
     /// As [`super::open`]'s.
-    pub fn read(files: &Files) -> Result<Self> {
-        let meta = Meta::parse(files.path(), &files.index()?)?;
+    pub fn read(files: &Files, meta: Meta) -> Result<Self> {
         let names = &meta.files;
         let mut names = vec![&names.means_low, &names.means_high, &names.quats, &names.scales, &names.sh0];
         names.extend(meta.palette.as_ref().map(|palette| &palette.labels_file));

@@ -1,8 +1,9 @@
 //! Streamed SOG: `lod-meta.json`, a tree of boxes whose leaves name, for each level of detail, a range of Gaussians in
 //! one of several SOGs; and an environment, which belongs to every level.
 //!
-//! A bake wants one level everywhere. Only SOGs with Gaussians of that level are opened. The tree's boxes are not used:
-//! a probe sees to infinity, and some writers turned the boxes against the Gaussians in them.
+//! A bake wants one level everywhere, because a probe sees to infinity: only SOGs with Gaussians of that level are opened,
+//! and decoded unless a crop leaves them out. The range of means in each SOG's `meta.json` tells that; the tree's boxes do
+//! not, because some writers turned them against the Gaussians in them.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -13,8 +14,10 @@ use glam::DAffine3;
 use rayon::prelude::*;
 use serde::Deserialize;
 
+use super::super::requests::SplatRequest;
 use super::super::source::{SplatFile, SplatPart};
 use super::files::{Files, inside};
+use super::meta::Meta;
 use super::source::{Sog, SogRange};
 use crate::error::{Error, Result};
 
@@ -47,12 +50,14 @@ struct Lod {
 /// Ranges of each file, by its number.
 type Ranges = BTreeMap<usize, Vec<Range<usize>>>;
 
-/// Opens level `lod` (0 is the finest) of the streamed SOG whose `lod-meta.json`, at `path`, has these `bytes`.
+/// Opens the level of detail that `request` asks for of the streamed SOG whose `lod-meta.json`, at `path`, has these
+/// `bytes`. SOGs that its crop leaves out are not decoded, and not counted either.
 ///
 /// # Errors
-/// [`Error::Request`] in `field` when there are not so many levels; [`Error::Invalid`] when the tree and the SOGs do not
+/// [`Error::Request`] when there are not so many levels, or nothing lies in the crop; [`Error::Invalid`] when the tree and the SOGs do not
 /// fit together; those of [`super::open`] for each SOG.
-pub(in super::super) fn open(path: &Path, bytes: &[u8], lod: u32, field: &str) -> Result<SplatFile> {
+pub(in super::super) fn open(path: &Path, bytes: &[u8], request: &SplatRequest) -> Result<SplatFile> {
+    let lod = request.input.lod.unwrap_or(0);
     let meta: LodMeta =
         serde_json::from_slice(bytes).map_err(|error| Error::invalid(path, "lod-meta.json", error.to_string()))?;
     if let Some(version) = meta.version.filter(|version| version.as_u64() != Some(1)) {
@@ -60,7 +65,7 @@ pub(in super::super) fn open(path: &Path, bytes: &[u8], lod: u32, field: &str) -
     }
     if lod >= meta.lod_levels {
         let why = format!("{} has levels 0 to {}, not {lod}", path.display(), i64::from(meta.lod_levels) - 1);
-        return Err(Error::request(field, why));
+        return Err(Error::request(format!("{}.lod", request.field), why));
     }
     let ranges = ranges_of_level(path, &meta.tree, lod, meta.filenames.len())?;
     let named = ranges.iter().map(|(&file, ranges)| (meta.filenames[file].as_str(), Some(&ranges[..])));
@@ -75,8 +80,12 @@ pub(in super::super) fn open(path: &Path, bytes: &[u8], lod: u32, field: &str) -
     }
     // Collected before the first error is looked for, so that the same one is told whichever thread was first.
     let opened: Vec<Result<Vec<SplatPart>>> =
-        wanted.par_iter().map(|(file, ranges)| parts_of(path, file, *ranges)).collect();
-    let parts = opened.into_iter().collect::<Result<Vec<_>>>()?.into_iter().flatten().collect();
+        wanted.par_iter().map(|(file, ranges)| parts_of(path, file, *ranges, request)).collect();
+    let parts: Vec<_> = opened.into_iter().collect::<Result<Vec<_>>>()?.into_iter().flatten().collect();
+    if parts.is_empty() {
+        let why = format!("nothing of {} lies in it", path.display());
+        return Err(Error::request(format!("{}.crop", request.field), why));
+    }
     Ok(super::splat_file(format!("streamed SOG, level {lod} of 0 to {}", meta.lod_levels - 1), parts))
 }
 
@@ -115,13 +124,23 @@ fn ranges_of_level(path: &Path, tree: &Node, lod: u32, file_count: usize) -> Res
     }
 }
 
-/// `ranges` of the SOG in `file`, or all of it.
-fn parts_of(path: &Path, file: &Path, ranges: Option<&[Range<usize>]>) -> Result<Vec<SplatPart>> {
+/// `ranges` of the SOG in `file`, or all of it; nothing where `request` leaves it out.
+fn parts_of(
+    path: &Path,
+    file: &Path,
+    ranges: Option<&[Range<usize>]>,
+    request: &SplatRequest,
+) -> Result<Vec<SplatPart>> {
     let bytes = super::super::map(file)?;
     if !super::is_sog(&bytes) {
         return Err(Error::invalid(file, "byte 0", format!("not a SOG, although {} says so", path.display())));
     }
-    let sog = Arc::new(Sog::read(&Files::new(file, bytes)?)?);
+    let files = Files::new(file, bytes)?;
+    let meta = Meta::parse(file, &files.index()?)?;
+    if !request.may_need(meta.bounds(), super::FRAME) {
+        return Ok(Vec::new());
+    }
+    let sog = Arc::new(Sog::read(&files, meta)?);
     let all = 0..sog.count();
     let ranges = ranges.unwrap_or(std::slice::from_ref(&all));
     let part = |range: &Range<usize>| {
