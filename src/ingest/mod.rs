@@ -3,10 +3,13 @@
 pub mod gltf;
 
 mod gather;
+mod ksplat;
 mod ply;
 mod report;
 mod sanitize;
 mod source;
+mod splat;
+mod spz;
 
 use std::fs::File;
 use std::path::Path;
@@ -217,23 +220,31 @@ fn origin_for(bounds: Bounds) -> DVec3 {
 
 /// Opens a splat file of whichever supported format its first bytes show.
 fn open(path: &Path) -> Result<SplatFile> {
-    let bytes = map(path)?;
-    if bytes.starts_with(ply::MAGIC) {
-        return ply::open(path, bytes);
-    }
-    const ADVICE: &str = "supported splat format: PLY as 3DGS training writes it";
-    let known: [(&[u8], &str); 7] = [
-        (b"\x1f\x8b", "gzip data (.spz up to version 3)"),
-        (b"NGSP", ".spz version 4"),
+    type Open = fn(&Path, Mmap) -> Result<SplatFile>;
+    const FORMATS: [(&[u8], Open); 4] =
+        [(ply::MAGIC, ply::open), (spz::GZIP_MAGIC, spz::open), (spz::MAGIC, spz::open), (ksplat::MAGIC, ksplat::open)];
+    const ADVICE: &str = "supported splat formats: PLY (plain and compressed), SPZ, .splat, .ksplat";
+    const OTHERS: [(&[u8], &str); 5] = [
         (b"PK\x03\x04", "a zip archive (.sog or .usdz)"),
         (b"glTF", "binary glTF"),
         (b"PXR-USDC", "binary USD"),
         (b"#usda", "text USD"),
         (b"{", "JSON (glTF or streamed SOG)"),
     ];
-    match known.iter().find(|(magic, _)| bytes.starts_with(magic)) {
-        Some((_, name)) => Err(Error::unsupported(path, format!("{name} as a splat input; {ADVICE}"))),
-        None => {
+    let bytes = map(path)?;
+    if let Some((_, open)) = FORMATS.iter().find(|(magic, _)| bytes.starts_with(magic)) {
+        return open(path, bytes);
+    }
+    if let Some((_, name)) = OTHERS.iter().find(|(magic, _)| bytes.starts_with(magic)) {
+        return Err(Error::unsupported(path, format!("{name} as a splat input; {ADVICE}")));
+    }
+    // .splat has no first bytes of its own. A file that is nothing known is what its name says, so that the reader of
+    // that format can tell what is wrong with it.
+    match path.extension().and_then(|extension| extension.to_str()) {
+        _ if splat::is_plausible(&bytes) => splat::open(path, bytes),
+        Some("splat") => splat::open(path, bytes),
+        Some("ksplat") => ksplat::open(path, bytes),
+        _ => {
             let shown = bytes[..bytes.len().min(16)].escape_ascii();
             Err(Error::invalid(path, "byte 0", format!("unknown format, begins with '{shown}'; {ADVICE}")))
         }
