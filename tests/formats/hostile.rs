@@ -4,8 +4,9 @@ use std::ops::Range;
 
 use splatprobe::Error;
 
-use super::compressed_ply::Variant;
-use super::{Random, compressed_ply, known, ksplat, load, splat, spz};
+use super::packed_files::compressed_ply::Variant;
+use super::packed_files::{compressed_ply, ksplat, splat, spz};
+use super::{Random, known, load};
 
 /// A small file of each format, and the bytes of it that mean something.
 fn small_files() -> Vec<(&'static str, Vec<u8>, Vec<Range<usize>>)> {

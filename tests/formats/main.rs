@@ -1,5 +1,8 @@
 //! Packed splat formats: files built byte by byte from known Gaussians give those Gaussians, broken files give errors.
 
+#[path = "../packed_files/mod.rs"]
+mod packed_files;
+
 mod compressed_ply;
 mod hostile;
 mod ksplat;
@@ -15,16 +18,7 @@ use splatprobe::ingest::{SceneReport, load_scene};
 use splatprobe::job::{Frame, SplatInput};
 use splatprobe::scene::{Scene, sh};
 
-/// A Gaussian as its file is to tell it, in the file's own frame.
-#[derive(Clone)]
-pub struct Known {
-    pub mean: DVec3,
-    pub rotation: DQuat,
-    pub deviations: DVec3,
-    pub opacity: f64,
-    /// Red, green, blue, each `(degree + 1)^2` long.
-    pub sh: Vec<f64>,
-}
+use packed_files::Known;
 
 /// How far a format's steps may take a Gaussian.
 pub struct Tolerance {
