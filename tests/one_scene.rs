@@ -34,8 +34,14 @@ struct Case {
 }
 
 /// splat-transform takes PLY's axes for left, down, back when it writes glTF.
-const CASES: [Case; 4] = [
+const CASES: [Case; 10] = [
+    Case { file: "scene.compressed.ply", degree: 3, ply_frame: "rdf", least_psnr: 35.0 },
     Case { file: "scene.sog", degree: 3, ply_frame: "rdf", least_psnr: 35.0 },
+    Case { file: "scene-v3.spz", degree: 3, ply_frame: "rdf", least_psnr: 35.0 },
+    Case { file: "scene-v4.spz", degree: 3, ply_frame: "rdf", least_psnr: 35.0 },
+    Case { file: "scene-0.ksplat", degree: 2, ply_frame: "rdf", least_psnr: 60.0 },
+    Case { file: "scene-1.ksplat", degree: 2, ply_frame: "rdf", least_psnr: 60.0 },
+    Case { file: "scene-2.ksplat", degree: 2, ply_frame: "rdf", least_psnr: 50.0 },
     Case { file: "scene.glb", degree: 3, ply_frame: "ldb", least_psnr: 80.0 },
     Case { file: "scene.usda", degree: 3, ply_frame: "rdf", least_psnr: 80.0 },
     Case { file: "scene.usdc", degree: 3, ply_frame: "rdf", least_psnr: 80.0 },

@@ -3,13 +3,16 @@
 pub mod gltf;
 
 mod gather;
+mod ksplat;
 mod ply;
 mod report;
 mod requests;
 mod sanitize;
 mod sog;
 mod source;
+mod splat;
 mod splats;
+mod spz;
 mod usd;
 
 use std::fs::File;
@@ -111,6 +114,11 @@ fn origin_for(bounds: Bounds) -> DVec3 {
 
 /// Opens the splat file that `request` asks for, of whichever supported format its first bytes show.
 fn open(request: &SplatRequest) -> Result<SplatFile> {
+    type Open = fn(&Path, Mmap) -> Result<SplatFile>;
+    const FORMATS: [(&[u8], Open); 4] =
+        [(ply::MAGIC, ply::open), (spz::GZIP_MAGIC, spz::open), (spz::MAGIC, spz::open), (ksplat::MAGIC, ksplat::open)];
+    const ADVICE: &str =
+        "supported splat formats: PLY (plain and compressed), SPZ, SOG (also streamed), .splat, .ksplat, glTF, USD";
     let path = &*index_file(&request.input.path);
     let bytes = map(path)?;
     if sog::is_streamed(&bytes) {
@@ -129,14 +137,16 @@ fn open(request: &SplatRequest) -> Result<SplatFile> {
     if sog::is_sog(&bytes) {
         return sog::open(path, bytes);
     }
-    if bytes.starts_with(ply::MAGIC) {
-        return ply::open(path, bytes);
+    if let Some((_, open)) = FORMATS.iter().find(|(magic, _)| bytes.starts_with(magic)) {
+        return open(path, bytes);
     }
-    const ADVICE: &str = "supported splat formats: PLY as 3DGS training writes it, SOG, glTF, USD";
-    let known: [(&[u8], &str); 2] = [(b"\x1f\x8b", "gzip data (.spz up to version 3)"), (b"NGSP", ".spz version 4")];
-    match known.iter().find(|(magic, _)| bytes.starts_with(magic)) {
-        Some((_, name)) => Err(Error::unsupported(path, format!("{name} as a splat input; {ADVICE}"))),
-        None => {
+    // .splat has no first bytes of its own. A file that is nothing known is what its name says, so that the reader of
+    // that format can tell what is wrong with it.
+    match path.extension().and_then(|extension| extension.to_str()) {
+        _ if splat::is_plausible(&bytes) => splat::open(path, bytes),
+        Some("splat") => splat::open(path, bytes),
+        Some("ksplat") => ksplat::open(path, bytes),
+        _ => {
             let shown = bytes[..bytes.len().min(16)].escape_ascii();
             Err(Error::invalid(path, "byte 0", format!("unknown format, begins with '{shown}'; {ADVICE}")))
         }

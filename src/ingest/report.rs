@@ -4,6 +4,7 @@ use std::ops::Range;
 use std::path::PathBuf;
 
 use glam::DVec3;
+use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -105,9 +106,15 @@ impl Quantiles {
     /// Percentiles by nearest rank; `None` without values.
     fn of(mut values: Vec<f64>) -> Option<Self> {
         let last = values.len().checked_sub(1)?;
-        let mut at =
-            |share: f64| *values.select_nth_unstable_by((last as f64 * share).round() as usize, f64::total_cmp).1;
-        Some(Self { p1: at(0.01), p10: at(0.1), p50: at(0.5), p90: at(0.9) })
+        // From the highest on, each among the values up to the one before it.
+        let mut end = values.len();
+        let [p90, p50, p10, p1] = [0.9, 0.5, 0.1, 0.01].map(|share| {
+            let rank = (last as f64 * share).round() as usize;
+            let (_, &mut value, _) = values[..end].select_nth_unstable_by(rank, f64::total_cmp);
+            end = rank + 1;
+            value
+        });
+        Some(Self { p1, p10, p50, p90 })
     }
 }
 
@@ -124,13 +131,20 @@ impl Statistics {
     /// Of the Gaussians in `range`, with positions relative to `origin`; `None` when there are none.
     pub fn of(splats: &Splats, range: Range<usize>, origin: DVec3) -> Option<Self> {
         let means = &splats.means[range.clone()];
-        let sampled = range.clone().step_by(range.len().div_ceil(SAMPLES).max(1));
+        let stride = range.len().div_ceil(SAMPLES).max(1);
+        let sampled = || (0..range.len().div_ceil(stride)).into_par_iter().map(|i| range.start + i * stride);
+        let opacities = || sampled().map(|i| f64::from(splats.opacities[i])).collect();
+        let scales = || sampled().map(|i| splats.standard_deviations(i).max_element()).collect();
+        let ((bounds, robust_bounds), (opacity, scale)) = rayon::join(
+            || (Bounds::of(means.iter().map(|mean| mean.as_dvec3())), robust_bounds(means)),
+            || rayon::join(|| Quantiles::of(opacities()), || Quantiles::of(scales())),
+        );
         Some(Self {
-            bounds: Bounds::of(means.iter().map(|mean| mean.as_dvec3()))?.translated(origin),
-            robust_bounds: robust_bounds(means)?.translated(origin),
-            opacity: Quantiles::of(sampled.clone().map(|i| f64::from(splats.opacities[i])).collect())?,
-            scale: Quantiles::of(sampled.clone().map(|i| splats.standard_deviations(i).max_element()).collect())?,
-            sh_energy: sh_energy(splats, sampled),
+            bounds: bounds?.translated(origin),
+            robust_bounds: robust_bounds?.translated(origin),
+            opacity: opacity?,
+            scale: scale?,
+            sh_energy: sh_energy(splats, range.step_by(stride)),
         })
     }
 }
@@ -170,5 +184,6 @@ mod tests {
         let values = (0..=100).rev().map(f64::from).collect();
         assert_eq!(Quantiles::of(values), Some(Quantiles { p1: 1.0, p10: 10.0, p50: 50.0, p90: 90.0 }));
         assert_eq!(Quantiles::of(Vec::new()), None);
+        assert_eq!(Quantiles::of(vec![7.0]), Some(Quantiles { p1: 7.0, p10: 7.0, p50: 7.0, p90: 7.0 }));
     }
 }

@@ -135,6 +135,8 @@ pub(super) struct WorldGaussian {
 #[derive(Debug)]
 pub(super) struct WorldFromFile {
     linear: DMat3,
+    /// Whether the map keeps angles, so that principal axes stay orthogonal: a rotation or mirror times a uniform scale.
+    keeps_angles: bool,
     translation: DVec3,
     sh_rotation: ShRotation,
     sh_degree: u8,
@@ -164,7 +166,8 @@ impl WorldFromFile {
             return Err(Error::request(field, why));
         }
         let sh_rotation = ShRotation::new(orthogonal_factor(linear), sh_degree);
-        Ok(Self { linear, translation, sh_rotation, sh_degree })
+        let keeps_angles = keeps_angles(linear);
+        Ok(Self { linear, keeps_angles, translation, sh_rotation, sh_degree })
     }
 
     /// World position, in metres, of a point of the file.
@@ -193,8 +196,11 @@ impl WorldFromFile {
             return Err(Reason::NonFinite);
         }
         let rotation = DMat3::from_quat(gaussian.rotation / length_squared.sqrt());
-        let axes = orthogonal_columns(self.linear * rotation * DMat3::from_diagonal(gaussian.standard_deviations));
-        let usable = |axis: DVec3| (LIMIT.recip()..=LIMIT).contains(&axis.length());
+        let mut axes = self.linear * rotation * DMat3::from_diagonal(gaussian.standard_deviations);
+        if !self.keeps_angles {
+            axes = orthogonal_columns(axes);
+        }
+        let usable = |axis: DVec3| (LIMIT.powi(-2)..=LIMIT.powi(2)).contains(&axis.length_squared());
         if gaussian.standard_deviations.min_element() <= 0.0
             || ![axes.x_axis, axes.y_axis, axes.z_axis].into_iter().all(usable)
         {
@@ -202,7 +208,8 @@ impl WorldFromFile {
         }
         let coefficients = &mut gaussian.coefficients[..3 * coefficient_count(self.sh_degree)];
         self.sh_rotation.apply(coefficients);
-        if !coefficients.iter().all(|&coefficient| within(f64::from(coefficient))) {
+        // Without a way out on the first, so that the loop takes many at a time.
+        if !coefficients.iter().fold(true, |all, coefficient| all & (coefficient.abs() <= LIMIT as f32)) {
             return Err(Reason::NonFinite);
         }
         if gaussian.opacity < ALPHA_MIN {
@@ -229,6 +236,13 @@ fn orthogonal_factor(linear: DMat3) -> DMat3 {
         }
     }
     factor
+}
+
+/// Whether the columns of `linear` are orthogonal and of one length, to the precision that [`orthogonal_columns`] aims at.
+fn keeps_angles(linear: DMat3) -> bool {
+    let gram = linear.transpose() * linear;
+    let square = (gram.x_axis.x + gram.y_axis.y + gram.z_axis.z) / 3.0;
+    gram.abs_diff_eq(DMat3::from_diagonal(DVec3::splat(square)), 1e-14 * square)
 }
 
 /// Turns the columns of `a` into ones that are orthogonal to each other with the same `a a^T`: one-sided Jacobi (Hestenes
@@ -337,6 +351,20 @@ mod tests {
         assert!(close(axes * axes.transpose(), sheared * sheared.transpose(), 1e-13));
         let [x, y, z] = [axes.x_axis, axes.y_axis, axes.z_axis].map(DVec3::normalize);
         assert!(x.dot(y).abs() < 1e-13 && x.dot(z).abs() < 1e-13 && y.dot(z).abs() < 1e-13);
+    }
+
+    #[test]
+    fn rotations_mirrors_and_uniform_scale_keep_angles_and_nothing_else_does() {
+        for scale in [[1.0; 3], [-1e-3; 3], [250.0, -250.0, 250.0]] {
+            let linear = turned(scale).world_from_file().matrix3;
+            assert!(keeps_angles(linear), "{scale:?}");
+            let mut axes = linear * DMat3::from_quat(gaussian().rotation.normalize());
+            axes *= DMat3::from_diagonal(gaussian().standard_deviations);
+            assert_eq!(orthogonal_columns(axes), axes, "{scale:?}");
+        }
+        for scale in [[1.0, 1.0, 1.0 + 1e-12], [2.0, 1.0, 1.0], [1e-3, 1.0, -1.0]] {
+            assert!(!keeps_angles(turned(scale).world_from_file().matrix3), "{scale:?}");
+        }
     }
 
     #[test]

@@ -69,7 +69,7 @@ impl Splats {
     /// `S^-1 R^T` from the principal axes: columns that are orthogonal to each other, as long as their standard deviation
     /// in metres. They may be left-handed. Formed in f64.
     pub fn unit_from_axes(axes: DMat3) -> Mat3 {
-        let unit = |axis: DVec3| axis / axis.length_squared();
+        let unit = |axis: DVec3| axis * axis.length_squared().recip();
         DMat3::from_cols(unit(axes.x_axis), unit(axes.y_axis), unit(axes.z_axis)).transpose().as_mat3()
     }
 
