@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use splatprobe::bvh::Bvh;
 use splatprobe::generate::{InteriorSettings, ROOM, interior};
 use splatprobe::ingest;
-use splatprobe::job::{Order, SplatInput, Transform};
+use splatprobe::job::{Order, SplatInput};
 use splatprobe::scene::{Scene, colour};
 use splatprobe::shade::UnlitSurfaces;
 use splatprobe::trace::{
@@ -178,7 +178,7 @@ fn display(radiance: &Radiance) -> Vec3 {
 fn load(arguments: &Arguments) -> Scene {
     match &arguments.splats {
         Some(path) => {
-            let input = SplatInput { path: path.into(), frame: None, transform: Transform::default(), encoding: None };
+            let input = SplatInput::new(path);
             ingest::load_scene(&[input], &[]).unwrap_or_else(|error| panic!("{error}")).0
         }
         None => {

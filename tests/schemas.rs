@@ -29,7 +29,8 @@ fn committed_schemas_are_those_of_the_types() {
 fn a_job_with_every_field_is_valid_by_the_schema_and_a_wrong_one_is_not() {
     let validator = jsonschema::validator_for(schemars::schema_for!(Job).as_value()).unwrap();
     let job = json!({
-        "splats": [{"path": "room.ply", "frame": "rdf", "transform": {"translation": [0, 1.5, 0]}, "encoding": "srgb-display"}],
+        "splats": [{"path": "room.ply", "frame": "rdf", "transform": {"translation": [0, 1.5, 0]}, "encoding": "srgb-display",
+                    "lod": 1}],
         "meshes": [{"path": "chair.glb", "transform": {"rotation": [0, 1, 0, 0], "scale": [2, 2, 2]}, "scene": "Main"}],
         "output": "out",
         "placement": {"bounds": [-4, 0, -4, 4, 3, 4], "grid": [3, 1, 3], "probes": [], "overlap": 0.1},

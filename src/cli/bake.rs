@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::Args;
 use splatprobe::job::{
-    Frame, Job, MeshInput, Order, Pixel, ProgressStyle, ShDirection, SplatInput, Surface, Tracer, Transform,
+    Crop, Frame, Job, MeshInput, Order, Pixel, ProgressStyle, ShDirection, SplatInput, Surface, Tracer, Transform,
     parse_numbers,
 };
 use splatprobe::scene::SplatEncoding;
@@ -17,8 +17,11 @@ use super::progress;
 ///
 /// The job file holds the same settings as the flags (see `splatprobe schema job`); a flag overrides the job file.
 ///
-/// Flags that describe an input (--splat-frame, --splat-transform, --splat-encoding; --mesh-transform, --mesh-scene) belong
-/// to the inputs in order, the first to the first; given once, they belong to all.
+/// Flags that describe an input (--splat-frame, --splat-transform, --splat-encoding, --lod, --crop, --min-opacity;
+/// --mesh-transform, --mesh-scene) belong to the inputs in order, the first to the first; given once, they belong to all.
+///
+/// A file that holds both splats and meshes brings both, whichever of --splats and --mesh names it; named by both, each
+/// kind stands where the flags of its kind say.
 ///
 /// A transform is any of t=X,Y,Z (metres), euler=X,Y,Z (degrees about the fixed X, then Y, then Z axis) or r=X,Y,Z,W (unit
 /// quaternion), and s=K or s=X,Y,Z, separated by spaces; scale is applied first: --mesh-transform "t=1,0,-2 euler=0,90,0".
@@ -40,6 +43,15 @@ pub struct Bake {
     /// What the splats' blended colours mean [default: what the format declares, else srgb-display].
     #[arg(long, value_name = "ENCODING", help_heading = "Inputs")]
     splat_encoding: Vec<SplatEncoding>,
+    /// Level of detail of a splat file that has several (streamed SOG); 0 is the finest [default: 0].
+    #[arg(long, value_name = "N", help_heading = "Inputs")]
+    lod: Vec<u32>,
+    /// Keep only Gaussians whose mean lies in box:X0,Y0,Z0,X1,Y1,Z1 or sphere:X,Y,Z,R, in world metres [default: all].
+    #[arg(long, value_name = "REGION", help_heading = "Inputs")]
+    crop: Vec<Crop>,
+    /// Drop Gaussians with a lower peak opacity, 0 to 1 [default: 0].
+    #[arg(long, value_name = "OPACITY", help_heading = "Inputs")]
+    min_opacity: Vec<f64>,
     /// glTF file; repeat it for more. Replaces the job file's.
     #[arg(long, value_name = "FILE", help_heading = "Inputs")]
     mesh: Vec<PathBuf>,
@@ -85,7 +97,7 @@ pub struct Bake {
     /// Rays per pixel and axis: N x N per pixel [default: 1].
     #[arg(long, value_name = "N", help_heading = "Tracing")]
     samples: Option<u32>,
-    /// Blending order along a ray [default: rayHitDistance].
+    /// Blending order along a ray [default: what the splat files ask for where they agree, else rayHitDistance].
     #[arg(long, value_name = "ORDER", help_heading = "Tracing")]
     order: Option<Order>,
     /// Direction in which colours of Gaussians are evaluated [default: mean].
@@ -129,6 +141,9 @@ impl Bake {
         describe("--splat-frame", self.splat_frame, &mut job.splats, |input, frame| input.frame = Some(frame))?;
         describe("--splat-transform", self.splat_transform, &mut job.splats, |input, world| input.transform = world)?;
         describe("--splat-encoding", self.splat_encoding, &mut job.splats, |input, it| input.encoding = Some(it))?;
+        describe("--lod", self.lod, &mut job.splats, |input, lod| input.lod = Some(lod))?;
+        describe("--crop", self.crop, &mut job.splats, |input, crop| input.crop = Some(crop))?;
+        describe("--min-opacity", self.min_opacity, &mut job.splats, |input, opacity| input.min_opacity = opacity)?;
         if !self.mesh.is_empty() {
             job.meshes = self.mesh.into_iter().map(MeshInput::new).collect();
         }
@@ -147,6 +162,7 @@ impl Bake {
         job.placement.bounds = self.bounds.or(job.placement.bounds);
         job.output = self.output.or(job.output);
         job.stats = self.stats.or(job.stats);
+        job.order = self.order.or(job.order);
 
         set(&mut job.placement.overlap, self.overlap);
         set(&mut job.background, self.background.map(|rgb| rgb.map(|value| value as f32)));
@@ -154,7 +170,6 @@ impl Bake {
         set(&mut job.distance, self.distance);
         set(&mut job.face_size, self.face_size);
         set(&mut job.samples, self.samples);
-        set(&mut job.order, self.order);
         set(&mut job.sh_direction, self.sh_direction);
         set(&mut job.t_cutoff, self.t_cutoff);
         set(&mut job.t_near, self.t_near);
@@ -234,13 +249,14 @@ mod tests {
         let path = folder.path().join("job.json");
         let text = r#"{"splats": [{"path": "a.ply"}], "placement": {"probes": [[1, 2, 3]]}, "faceSize": 8}"#;
         std::fs::write(&path, text).unwrap();
-        let line = "--splats b.ply --splat-frame rub --splat-transform s=2 --splat-encoding lin-scene --mesh c.glb \
-            --mesh-transform t=1,2,3 --mesh-scene 1 --background 1,2,3 -o out --pixel float --distance --stats s.json \
+        let line = "--splats b.ply --splat-frame rub --splat-transform s=2 --splat-encoding lin-scene --crop sphere:-1,2,3,4 \
+            --min-opacity 0.25 --lod 2 --mesh c.glb --mesh-transform t=1,2,3 --mesh-scene 1 --background 1,2,3 -o out --pixel float --distance --stats s.json \
             --bounds -1,-2,-3,1,2,3 --grid 2,3,4 --overlap 0.5 --face-size 16 --samples 2 --order cameraDistance \
             --sh-direction ray --t-cutoff 0 --t-near 0.5 --surface unlit --tracer reference --threads 3 --progress json";
         let line: Vec<&str> = [path.to_str().unwrap()].into_iter().chain(line.split_whitespace()).collect();
         let expected = r#"{
-            "splats": [{"path": "b.ply", "frame": "rub", "transform": {"scale": [2, 2, 2]}, "encoding": "lin-scene"}],
+            "splats": [{"path": "b.ply", "frame": "rub", "transform": {"scale": [2, 2, 2]}, "encoding": "lin-scene",
+                "lod": 2, "crop": {"sphere": [-1, 2, 3, 4]}, "minOpacity": 0.25}],
             "meshes": [{"path": "c.glb", "transform": {"translation": [1, 2, 3]}, "scene": "1"}],
             "output": "out", "stats": "s.json", "progress": "json", "threads": 3, "background": [1, 2, 3],
             "pixel": "float", "distance": true, "faceSize": 16, "samples": 2, "order": "cameraDistance",

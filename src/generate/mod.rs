@@ -146,6 +146,7 @@ fn collect(count: usize, sh_degree: u8, make: impl Fn(usize, &mut [f32]) -> Gaus
         opacities: vec![0.0; count],
         sh_degree,
         sh: Vec::new(),
+        linear: Vec::new(),
     };
     let stride = splats.sh_stride();
     splats.sh = vec![0.0; count * stride];

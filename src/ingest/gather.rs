@@ -6,7 +6,7 @@ use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
 use super::CHUNK;
-use super::sanitize::{Dropped, FileGaussian, WorldFromFile};
+use super::sanitize::{Dropped, FileGaussian, Selection, WorldFromFile, WorldGaussian};
 use super::source::SplatSource;
 use crate::error::Result;
 use crate::scene::Splats;
@@ -61,6 +61,7 @@ impl Gathering {
             opacities: vec![0.0; count],
             sh_degree,
             sh: vec![0.0; count * 3 * coefficient_count(sh_degree)],
+            linear: Vec::new(),
         };
         Self { splats, filled: 0 }
     }
@@ -70,13 +71,14 @@ impl Gathering {
         Gathered { range: self.filled..self.filled, dropped: Dropped::default(), sh_degree_used: 0 }
     }
 
-    /// Decodes all of `source`, drops what cannot be used, and keeps the rest in file order, relative to `origin`.
+    /// Decodes all of `source`, drops what cannot be used or is not asked for, and keeps the rest in file order, relative to `origin`.
     ///
     /// Each chunk fills its own slots from the front; afterwards the chunks are moved together, in place.
     pub fn append(
         &mut self,
         source: &dyn SplatSource,
         world_from_file: &WorldFromFile,
+        selection: &Selection,
         origin: DVec3,
     ) -> Result<Gathered> {
         let first = self.filled;
@@ -95,7 +97,13 @@ impl Gathering {
                 let mut outcome = ChunkOutcome::default();
                 let mut slots = ChunkSlots { means, unit_from_world, opacities, sh };
                 source.for_each_in_chunk(chunk, &mut |gaussian| {
-                    outcome.add(&mut slots, gaussian, world_from_file, origin, degrees);
+                    let placed = world_from_file.place(gaussian, origin).and_then(|world| {
+                        selection.check(world_from_file.position(gaussian.mean), gaussian.opacity).map(|()| world)
+                    });
+                    match placed {
+                        Ok(world) => outcome.keep(&mut slots, world, gaussian, degrees),
+                        Err(reason) => outcome.dropped.count(reason),
+                    }
                 })?;
                 Ok(outcome)
             })
@@ -147,19 +155,8 @@ struct Degrees {
 }
 
 impl ChunkOutcome {
-    /// Puts `gaussian` into the next free slot, or counts why not. Bands that the file lacks stay zero.
-    fn add(
-        &mut self,
-        slots: &mut ChunkSlots,
-        gaussian: &mut FileGaussian,
-        world_from_file: &WorldFromFile,
-        origin: DVec3,
-        degrees: Degrees,
-    ) {
-        let world = match world_from_file.place(gaussian, origin) {
-            Ok(world) => world,
-            Err(reason) => return self.dropped.count(reason),
-        };
+    /// Puts `world`, with the colours of `gaussian`, into the next free slot. Bands that the file lacks stay zero.
+    fn keep(&mut self, slots: &mut ChunkSlots, world: WorldGaussian, gaussian: &FileGaussian, degrees: Degrees) {
         slots.means[self.kept] = world.mean;
         slots.unit_from_world[self.kept] = world.unit_from_world;
         slots.opacities[self.kept] = world.opacity;

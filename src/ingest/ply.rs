@@ -5,6 +5,7 @@
 //! standard deviations; `rot_0..3` as a quaternion w x y z of any length. Columns stand in any order and have any scalar
 //! type; other columns (normals among them) are ignored.
 
+mod compressed;
 mod header;
 
 use std::ops::Range;
@@ -13,6 +14,7 @@ use std::path::{Path, PathBuf};
 use glam::{DQuat, DVec3};
 use memmap2::Mmap;
 
+use self::compressed::CompressedPly;
 use self::header::{Element, Encoding, Header, Kind, Scalar};
 use super::CHUNK;
 use super::sanitize::FileGaussian;
@@ -25,16 +27,16 @@ use crate::scene::sh::{MAX_DEGREE, coefficient_count};
 /// What a PLY file begins with.
 pub(super) const MAGIC: &[u8] = b"ply";
 
-/// Opens a mapped PLY file. The format declares neither frame nor encoding: trainers write right-down-forward and learn
-/// their colours from photographs. Errors as in [`Ply::open`].
+/// Opens a mapped PLY file, compressed or not. The format declares neither frame nor encoding: trainers write
+/// right-down-forward and learn their colours from photographs. Errors as in [`Ply::new`] and [`CompressedPly::new`].
 pub(super) fn open(path: &Path, bytes: Mmap) -> Result<SplatFile> {
-    let ply = Ply::open(path, bytes)?;
-    Ok(SplatFile {
-        format: format!("PLY {}", ply.encoding.name()),
-        frame: Frame::RDF,
-        encoding: SplatEncoding::SrgbDisplay,
-        parts: SplatPart::whole(ply),
-    })
+    let header = Header::parse(path, &bytes)?;
+    let (format, parts) = if CompressedPly::is_described_by(&header) {
+        ("PLY compressed".to_string(), SplatPart::whole(CompressedPly::new(path, bytes, &header)?))
+    } else {
+        (format!("PLY {}", header.encoding.name()), SplatPart::whole(Ply::new(path, bytes, &header)?))
+    };
+    Ok(SplatFile { format, frame: Frame::RDF, encoding: SplatEncoding::SrgbDisplay, order: None, parts })
 }
 
 /// An opened PLY file whose header and size hold what a splat file must.
@@ -71,13 +73,12 @@ enum Rows {
 }
 
 impl Ply {
-    /// Opens a mapped PLY file: reads the header and checks that all vertices it promises are there.
+    /// Checks that all vertices that the header promises are there.
     ///
     /// # Errors
-    /// [`Error::Invalid`] when the header is broken, the vertices are not Gaussians, or the file is too short;
-    /// [`Error::Unsupported`] for compressed PLY and for vertices with lists.
-    fn open(path: &Path, bytes: Mmap) -> Result<Self> {
-        let header = Header::parse(path, &bytes)?;
+    /// [`Error::Invalid`] when the vertices are not Gaussians or the file is too short; [`Error::Unsupported`] for
+    /// vertices with lists.
+    fn new(path: &Path, bytes: Mmap, header: &Header) -> Result<Self> {
         let place = |element: &&Element| element.name == "vertex";
         let Some(vertex) = header.elements.iter().find(place) else {
             return Err(Error::invalid(path, "header", "no 'element vertex', so there are no Gaussians"));
@@ -98,10 +99,7 @@ impl Ply {
             }
         }
         let before = header.elements.iter().take_while(|element| element.name != "vertex");
-        let too_short = |element: &Element| {
-            let what = format!("the file ends before the {} rows of element {}", element.count, element.name);
-            Error::invalid(path, format!("byte {}", bytes.len()), what)
-        };
+        let too_short = |element: &Element| too_short(path, &bytes, element);
         let mut cursor = Cursor { bytes: &bytes, offset: header.data_offset, encoding: header.encoding };
         for element in before {
             cursor.skip_element(element).ok_or_else(|| too_short(element))?;
@@ -167,11 +165,6 @@ impl SplatSource for Ply {
 impl Columns {
     fn find(path: &Path, vertex: &Element) -> Result<Self> {
         let find = |name: &str| vertex.properties.iter().position(|property| property.name == name);
-        if find("packed_position").is_some() {
-            let what =
-                "PlayCanvas compressed PLY (packed_position); convert it to plain PLY with splat-transform first";
-            return Err(Error::unsupported(path, what));
-        }
         let mut missing = Vec::new();
         let mut column = |name: String| {
             find(&name).unwrap_or_else(|| {
@@ -218,6 +211,11 @@ impl Columns {
             *coefficient = value(column) as f32;
         }
     }
+}
+
+fn too_short(path: &Path, bytes: &[u8], element: &Element) -> Error {
+    let what = format!("the file ends before the {} rows of element {}", element.count, element.name);
+    Error::invalid(path, format!("byte {}", bytes.len()), what)
 }
 
 /// A position in the data behind the header. Every step checks the file's end and returns `None` past it.

@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
-use crate::job::{Frame, Transform};
+use crate::job::{Crop, Frame, Transform};
 use crate::scene::Splats;
 use crate::scene::sh::{MAX_COEFFICIENTS, ShRotation, coefficient_count};
 use crate::scene::splats::ALPHA_MIN;
@@ -49,12 +49,21 @@ pub struct Dropped {
     pub degenerate_scale: u64,
     /// The opacity is below 1/255, so that nothing of it is ever seen.
     pub transparent: u64,
+    /// The opacity is below what the request asks for.
+    pub below_min_opacity: u64,
+    /// The mean lies outside of the region that the request asks for.
+    pub cropped: u64,
 }
 
 impl Dropped {
     /// All reasons together.
     pub fn total(&self) -> u64 {
-        self.non_finite + self.zero_rotation + self.degenerate_scale + self.transparent
+        self.non_finite
+            + self.zero_rotation
+            + self.degenerate_scale
+            + self.transparent
+            + self.below_min_opacity
+            + self.cropped
     }
 
     pub(super) fn count(&mut self, reason: Reason) {
@@ -63,6 +72,8 @@ impl Dropped {
             Reason::ZeroRotation => &mut self.zero_rotation,
             Reason::DegenerateScale => &mut self.degenerate_scale,
             Reason::Transparent => &mut self.transparent,
+            Reason::BelowMinOpacity => &mut self.below_min_opacity,
+            Reason::Cropped => &mut self.cropped,
         } += 1;
     }
 }
@@ -73,6 +84,8 @@ impl std::ops::AddAssign for Dropped {
         self.zero_rotation += other.zero_rotation;
         self.degenerate_scale += other.degenerate_scale;
         self.transparent += other.transparent;
+        self.below_min_opacity += other.below_min_opacity;
+        self.cropped += other.cropped;
     }
 }
 
@@ -83,6 +96,29 @@ pub(super) enum Reason {
     ZeroRotation,
     DegenerateScale,
     Transparent,
+    BelowMinOpacity,
+    Cropped,
+}
+
+/// What a request keeps of a file.
+#[derive(Debug, Default, Clone, Copy)]
+pub(super) struct Selection {
+    pub crop: Option<Crop>,
+    pub min_opacity: f64,
+}
+
+impl Selection {
+    /// Whether a Gaussian with its mean at `world`, in metres, and this peak opacity is kept, else why not.
+    #[inline]
+    pub fn check(&self, world: DVec3, opacity: f64) -> std::result::Result<(), Reason> {
+        if opacity < self.min_opacity {
+            return Err(Reason::BelowMinOpacity);
+        }
+        if self.crop.is_some_and(|crop| !crop.contains(world)) {
+            return Err(Reason::Cropped);
+        }
+        Ok(())
+    }
 }
 
 /// Magnitudes up to this, and from its inverse, stay finite and normal in f32 when squared.
@@ -99,6 +135,8 @@ pub(super) struct WorldGaussian {
 #[derive(Debug)]
 pub(super) struct WorldFromFile {
     linear: DMat3,
+    /// Whether the map keeps angles, so that principal axes stay orthogonal: a rotation or mirror times a uniform scale.
+    keeps_angles: bool,
     translation: DVec3,
     sh_rotation: ShRotation,
     sh_degree: u8,
@@ -128,7 +166,8 @@ impl WorldFromFile {
             return Err(Error::request(field, why));
         }
         let sh_rotation = ShRotation::new(orthogonal_factor(linear), sh_degree);
-        Ok(Self { linear, translation, sh_rotation, sh_degree })
+        let keeps_angles = keeps_angles(linear);
+        Ok(Self { linear, keeps_angles, translation, sh_rotation, sh_degree })
     }
 
     /// World position, in metres, of a point of the file.
@@ -157,8 +196,11 @@ impl WorldFromFile {
             return Err(Reason::NonFinite);
         }
         let rotation = DMat3::from_quat(gaussian.rotation / length_squared.sqrt());
-        let axes = orthogonal_columns(self.linear * rotation * DMat3::from_diagonal(gaussian.standard_deviations));
-        let usable = |axis: DVec3| (LIMIT.recip()..=LIMIT).contains(&axis.length());
+        let mut axes = self.linear * rotation * DMat3::from_diagonal(gaussian.standard_deviations);
+        if !self.keeps_angles {
+            axes = orthogonal_columns(axes);
+        }
+        let usable = |axis: DVec3| (LIMIT.powi(-2)..=LIMIT.powi(2)).contains(&axis.length_squared());
         if gaussian.standard_deviations.min_element() <= 0.0
             || ![axes.x_axis, axes.y_axis, axes.z_axis].into_iter().all(usable)
         {
@@ -166,7 +208,8 @@ impl WorldFromFile {
         }
         let coefficients = &mut gaussian.coefficients[..3 * coefficient_count(self.sh_degree)];
         self.sh_rotation.apply(coefficients);
-        if !coefficients.iter().all(|&coefficient| within(f64::from(coefficient))) {
+        // Without a way out on the first, so that the loop takes many at a time.
+        if !coefficients.iter().fold(true, |all, coefficient| all & (coefficient.abs() <= LIMIT as f32)) {
             return Err(Reason::NonFinite);
         }
         if gaussian.opacity < ALPHA_MIN {
@@ -193,6 +236,13 @@ fn orthogonal_factor(linear: DMat3) -> DMat3 {
         }
     }
     factor
+}
+
+/// Whether the columns of `linear` are orthogonal and of one length, to the precision that [`orthogonal_columns`] aims at.
+fn keeps_angles(linear: DMat3) -> bool {
+    let gram = linear.transpose() * linear;
+    let square = (gram.x_axis.x + gram.y_axis.y + gram.z_axis.z) / 3.0;
+    gram.abs_diff_eq(DMat3::from_diagonal(DVec3::splat(square)), 1e-14 * square)
 }
 
 /// Turns the columns of `a` into ones that are orthogonal to each other with the same `a a^T`: one-sided Jacobi (Hestenes
@@ -301,6 +351,20 @@ mod tests {
         assert!(close(axes * axes.transpose(), sheared * sheared.transpose(), 1e-13));
         let [x, y, z] = [axes.x_axis, axes.y_axis, axes.z_axis].map(DVec3::normalize);
         assert!(x.dot(y).abs() < 1e-13 && x.dot(z).abs() < 1e-13 && y.dot(z).abs() < 1e-13);
+    }
+
+    #[test]
+    fn rotations_mirrors_and_uniform_scale_keep_angles_and_nothing_else_does() {
+        for scale in [[1.0; 3], [-1e-3; 3], [250.0, -250.0, 250.0]] {
+            let linear = turned(scale).world_from_file().matrix3;
+            assert!(keeps_angles(linear), "{scale:?}");
+            let mut axes = linear * DMat3::from_quat(gaussian().rotation.normalize());
+            axes *= DMat3::from_diagonal(gaussian().standard_deviations);
+            assert_eq!(orthogonal_columns(axes), axes, "{scale:?}");
+        }
+        for scale in [[1.0, 1.0, 1.0 + 1e-12], [2.0, 1.0, 1.0], [1e-3, 1.0, -1.0]] {
+            assert!(!keeps_angles(turned(scale).world_from_file().matrix3), "{scale:?}");
+        }
     }
 
     #[test]

@@ -1,12 +1,13 @@
 //! What every splat format's reader gives: an opened file whose Gaussians decode chunk by chunk, on any thread.
 
 use std::fmt;
+use std::sync::Arc;
 
 use glam::DAffine3;
 
 use super::sanitize::FileGaussian;
 use crate::error::Result;
-use crate::job::Frame;
+use crate::job::{Frame, Order};
 use crate::scene::SplatEncoding;
 
 /// A splat file whose structure has been checked, and what it says about itself.
@@ -18,6 +19,8 @@ pub(super) struct SplatFile {
     pub frame: Frame,
     /// What its colours mean, as it declares or as its format's writers agree.
     pub encoding: SplatEncoding,
+    /// The blending order that the file asks for, if it asks for one that a probe can follow.
+    pub order: Option<Order>,
     /// One, unless the format places several sets of Gaussians in one file.
     pub parts: Vec<SplatPart>,
 }
@@ -50,6 +53,21 @@ pub(super) trait SplatSource: Send + Sync + fmt::Debug {
     /// # Errors
     /// [`Error::Invalid`](crate::Error::Invalid) when a Gaussian's data cannot be decoded; names its place in the file.
     fn for_each_in_chunk(&self, chunk: usize, sink: &mut dyn FnMut(&mut FileGaussian)) -> Result<()>;
+}
+
+/// A source that several parts share.
+impl<T: SplatSource> SplatSource for Arc<T> {
+    fn count(&self) -> usize {
+        (**self).count()
+    }
+
+    fn sh_degree(&self) -> u8 {
+        (**self).sh_degree()
+    }
+
+    fn for_each_in_chunk(&self, chunk: usize, sink: &mut dyn FnMut(&mut FileGaussian)) -> Result<()> {
+        (**self).for_each_in_chunk(chunk, sink)
+    }
 }
 
 impl SplatFile {

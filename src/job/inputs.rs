@@ -6,6 +6,7 @@ use glam::{DAffine3, DMat3, DQuat, DVec3, EulerRot};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::Crop;
 use crate::scene::SplatEncoding;
 
 /// A splat file and how it stands in the world.
@@ -20,19 +21,38 @@ pub struct SplatInput {
     /// World from canonical file coordinates. Default: identity.
     #[serde(default, skip_serializing_if = "Transform::is_identity")]
     pub transform: Transform,
-    /// What the colours mean. Default: what the format declares, else `srgb-display`.
+    /// What the colours mean; inputs of one scene may differ. Default: what the format declares, else `srgb-display`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub encoding: Option<SplatEncoding>,
+    /// Level of detail of a file that has several (streamed SOG); 0 is the finest. Default: 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lod: Option<u32>,
+    /// Only Gaussians whose mean lies inside are kept. Default: all.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub crop: Option<Crop>,
+    /// Gaussians with a lower peak opacity, 0 to 1, are dropped. Default: 0, so that only what is never seen is (below
+    /// 1/255).
+    #[serde(default, skip_serializing_if = "super::is_default")]
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub min_opacity: f64,
 }
 
 impl SplatInput {
     /// A file as its format declares it, standing where it says.
     pub fn new(path: impl Into<PathBuf>) -> Self {
-        Self { path: path.into(), frame: None, transform: Transform::default(), encoding: None }
+        Self {
+            path: path.into(),
+            frame: None,
+            transform: Transform::default(),
+            encoding: None,
+            lod: None,
+            crop: None,
+            min_opacity: 0.0,
+        }
     }
 }
 
-/// A glTF file and how it stands in the world.
+/// A mesh file and how it stands in the world.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, rename_all = "camelCase")]
 pub struct MeshInput {
@@ -162,6 +182,8 @@ impl Frame {
     pub const RDF: Self = Self { letters: *b"rdf" };
     /// +X right, +Y up, +Z back: glTF and this program.
     pub const RUB: Self = Self { letters: *b"rub" };
+    /// +X right, +Y forward, +Z up: USD stages whose up axis is Z.
+    pub const RFU: Self = Self { letters: *b"rfu" };
 
     /// Canonical from file coordinates: a signed permutation, which may mirror.
     pub fn canonical_from_file(self) -> DMat3 {

@@ -2,6 +2,7 @@
 //!
 //! A [`Job`] is what a job file holds and what the flags of the command line say; both have the same names.
 
+mod crop;
 mod file;
 mod inputs;
 mod validate;
@@ -11,6 +12,7 @@ use std::path::PathBuf;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use crop::Crop;
 pub use inputs::{Frame, MeshInput, SplatInput, Transform, parse_numbers};
 pub use validate::{MAX_FACE_SIZE, MAX_PROBES, MAX_SAMPLES};
 
@@ -121,9 +123,11 @@ impl Default for Placement {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, rename_all = "camelCase", default)]
 pub struct Job {
-    /// Splat files; all are one scene. Default: none.
+    /// Splat files; all are one scene. What meshes they hold comes along, under the same transform, unless `meshes` names
+    /// the file too. Default: none.
     pub splats: Vec<SplatInput>,
-    /// glTF files placed in that scene. Default: none.
+    /// glTF files placed in that scene. What splats they hold comes along, under the same transform, unless `splats` names
+    /// the file too. Default: none.
     pub meshes: Vec<MeshInput>,
     /// Folder that the manifest and the probes are written to; a relative path is relative to the job file. Needed;
     /// Default: none.
@@ -137,8 +141,9 @@ pub struct Job {
     /// Rays per pixel and axis: N stands for N x N rays in a regular pattern. Default: 1.
     #[schemars(range(min = 1, max = 64))]
     pub samples: u32,
-    /// Blending order along a ray. Default: rayHitDistance.
-    pub order: Order,
+    /// Blending order along a ray. Default: what the splat files ask for where they agree, else rayHitDistance.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub order: Option<Order>,
     /// Direction in which colours of Gaussians are evaluated. Default: mean.
     pub sh_direction: ShDirection,
     /// A ray ends when its transmittance falls below this share; 0 follows every ray to its end. What it leaves out is
@@ -181,7 +186,7 @@ impl Default for Job {
             placement: Placement::default(),
             face_size: 256,
             samples: 1,
-            order: Order::default(),
+            order: None,
             sh_direction: ShDirection::default(),
             t_cutoff: 1.0 / 2048.0,
             t_near: 0.0,

@@ -1,6 +1,6 @@
 //! The one place where a job's values are checked, alone and together.
 
-use super::{Job, MeshInput, Placement, SplatInput, Transform};
+use super::{Crop, Job, MeshInput, Placement, SplatInput, Transform};
 use crate::{Error, Result};
 
 /// Largest edge of a cube face, in pixels: a probe's six faces then take 6 GiB while they are traced.
@@ -81,14 +81,7 @@ impl Placement {
                 require(!self.probes.is_empty(), "--grid", || "no probes: give --grid or --probe positions".into())?
             }
         }
-        if let Some([x0, y0, z0, x1, y1, z1]) = self.bounds {
-            require_coordinates("--bounds", &[x0, y0, z0, x1, y1, z1])?;
-            require(x0 < x1 && y0 < y1 && z0 < z1, "--bounds", || {
-                format!(
-                    "{x0},{y0},{z0} to {x1},{y1},{z1} is no box: the first corner must be below the second in x, y and z"
-                )
-            })?;
-        }
+        self.bounds.map_or(Ok(()), |corners| require_box("--bounds", corners))?;
         self.probes.iter().try_for_each(|probe| require_coordinates("--probe", probe))?;
         require((0.0..=1.0).contains(&self.overlap), "--overlap", || {
             format!("{} is not a fraction of the spacing from 0 to 1", self.overlap)
@@ -110,7 +103,23 @@ impl Placement {
 impl SplatInput {
     fn validate(&self) -> Result<()> {
         require(!self.path.as_os_str().is_empty(), "--splats", || "the path is empty".into())?;
-        self.transform.validate("--splat-transform")
+        self.transform.validate("--splat-transform")?;
+        self.crop.iter().try_for_each(Crop::validate)?;
+        require((0.0..=1.0).contains(&self.min_opacity), "--min-opacity", || {
+            format!("{} is not an opacity from 0 to 1", self.min_opacity)
+        })
+    }
+}
+
+impl Crop {
+    fn validate(&self) -> Result<()> {
+        match *self {
+            Self::Box(corners) => require_box("--crop", corners),
+            Self::Sphere(ball) => {
+                require_coordinates("--crop", &ball)?;
+                require(ball[3] > 0.0, "--crop", || format!("{} is not a radius: it must be above 0", ball[3]))
+            }
+        }
     }
 }
 
@@ -134,6 +143,14 @@ impl Transform {
             format!("{:?} is not a scale: every factor must be between 1e-9 and 1e9, or its negative", self.scale)
         })
     }
+}
+
+fn require_box(flag: &str, corners: [f64; 6]) -> Result<()> {
+    require_coordinates(flag, &corners)?;
+    let [x0, y0, z0, x1, y1, z1] = corners;
+    require(x0 < x1 && y0 < y1 && z0 < z1, flag, || {
+        format!("{x0},{y0},{z0} to {x1},{y1},{z1} is no box: the first corner must be below the second in x, y and z")
+    })
 }
 
 fn require_coordinates(flag: &str, values: &[f64]) -> Result<()> {
@@ -173,13 +190,16 @@ mod tests {
     #[test]
     fn every_fault_is_an_error_that_names_its_flag() {
         type Fault = (&'static str, fn(&mut Job));
-        let faults: [Fault; 23] = [
+        let faults: [Fault; 26] = [
             ("--splats", |job| job.splats.clear()),
             ("--splats", |job| job.splats[0].path = "".into()),
             ("--splat-transform", |job| job.splats[0].transform.rotation = [0.0; 4]),
             ("--splat-transform", |job| job.splats[0].transform.rotation[0] = f64::NAN),
             ("--splat-transform", |job| job.splats[0].transform.scale[1] = 0.0),
             ("--splat-transform", |job| job.splats[0].transform.translation[2] = f64::INFINITY),
+            ("--crop", |job| job.splats[0].crop = Some(Crop::Box([0.0, 0.0, 0.0, 1.0, 0.0, 1.0]))),
+            ("--crop", |job| job.splats[0].crop = Some(Crop::Sphere([0.0, f64::NAN, 0.0, 1.0]))),
+            ("--min-opacity", |job| job.splats[0].min_opacity = 1.5),
             ("-o", |job| job.output = None),
             ("--grid", |job| job.placement.grid = None),
             ("--grid", |job| job.placement.probes = vec![[0.0; 3]]),

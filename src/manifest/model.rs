@@ -23,7 +23,7 @@ pub struct Manifest {
     pub frame: Frame,
     /// What the numbers in the images mean.
     pub colour: Colour,
-    /// The files that went in: splats, then meshes, in the job's order.
+    /// What went in: splats, then meshes, each in the job's order. A file that brought both stands in both.
     pub inputs: Vec<InputRecord>,
     /// The job, without what cannot change the result. Of the inputs' paths only the file names are kept.
     pub settings: Job,
@@ -74,7 +74,8 @@ pub struct Colour {
     pub space: String,
     /// Radiance of paper white.
     pub paper_white: f64,
-    /// What the blended splat colours were taken to mean.
+    /// What the blended splat colours were taken to mean. Linear inputs beside display-referred ones were added to linear
+    /// light by themselves; each input's report states its own encoding.
     pub splat_encoding: SplatEncoding,
     /// What took blended splat colours to linear light; its inverse shows linear light as the capture looked.
     pub display_transform: DisplayTransform,

@@ -2,6 +2,7 @@
 
 mod output;
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -13,7 +14,7 @@ use self::output::Output;
 use crate::bake::{self, BakeSettings, Progress};
 use crate::bvh::Bvh;
 use crate::ingest::{self, SceneReport};
-use crate::job::{Job, Placement, Surface, Tracer};
+use crate::job::{Job, Order, Placement, Surface, Tracer};
 use crate::manifest::{self, InputRecord, Manifest};
 use crate::place::{self, Probe};
 use crate::scene::{Bounds, LinearRgb, Scene};
@@ -71,9 +72,12 @@ pub fn bake(job: &Job, progress: &dyn Progress, cancel: &AtomicBool) -> Result<B
 fn bake_on_these_threads(job: &Job, progress: &dyn Progress, cancel: &AtomicBool) -> Result<BakeReport> {
     let begun = Instant::now();
     let (mut scene, scene_report) = ingest::load_scene(&job.splats, &job.meshes)?;
+    let order = job.order.or(scene_report.order()).unwrap_or_default();
+    // As resolved, so that the manifest says what was done.
+    let job = &Job { order: Some(order), ..job.clone() };
     scene.background = LinearRgb(Vec3::from(job.background));
     let probes = place_probes(&job.placement, &scene_report)?;
-    let inputs = input_records(job, &scene_report)?;
+    let inputs = input_records(&scene_report)?;
     let loaded = Instant::now();
     let bvh = Bvh::build(&mut scene);
     let built = Instant::now();
@@ -81,7 +85,7 @@ fn bake_on_these_threads(job: &Job, progress: &dyn Progress, cancel: &AtomicBool
     let surfaces: Box<dyn Surfaces> = match job.surface {
         Surface::Unlit => Box::new(UnlitSurfaces::new(&scene.meshes)),
     };
-    let tracer = tracer(job, &scene, &bvh, &*surfaces);
+    let tracer = tracer(job, order, &scene, &bvh, &*surfaces);
     let output = Output::begin(job, probes.len())?;
     let settings = BakeSettings { face_size: job.face_size, samples: job.samples, distance: job.distance };
     bake::bake_probes(&*tracer, &scene, &probes, &settings, progress, cancel, |index, cubemap, statistics| {
@@ -127,10 +131,17 @@ fn place_probes(placement: &Placement, scene: &SceneReport) -> Result<Vec<Probe>
     }
 }
 
-fn tracer<'a>(job: &Job, scene: &'a Scene, bvh: &'a Bvh, surfaces: &'a dyn Surfaces) -> Box<dyn TileTracer + 'a> {
-    let settings =
-        TraceSettings { order: job.order, sh_direction: job.sh_direction, t_cutoff: job.t_cutoff, t_near: job.t_near };
+fn tracer<'a>(
+    job: &Job,
+    order: Order,
+    scene: &'a Scene,
+    bvh: &'a Bvh,
+    surfaces: &'a dyn Surfaces,
+) -> Box<dyn TileTracer + 'a> {
+    let settings = TraceSettings { order, sh_direction: job.sh_direction, t_cutoff: job.t_cutoff, t_near: job.t_near };
     match job.tracer {
+        // The beam keeps one sum for all Gaussians; linear ones beside display ones need two.
+        Tracer::Beam if !scene.splats.linear.is_empty() => Box::new(RayTracer { scene, bvh, surfaces, settings }),
         Tracer::Beam => Box::new(BeamTracer { scene, bvh, surfaces, settings, level: Level::best() }),
         Tracer::Ray => Box::new(RayTracer { scene, bvh, surfaces, settings }),
         Tracer::Reference => Box::new(ReferenceTracer { scene, surfaces, settings }),
@@ -138,17 +149,20 @@ fn tracer<'a>(job: &Job, scene: &'a Scene, bvh: &'a Bvh, surfaces: &'a dyn Surfa
 }
 
 /// Hashes the inputs. Reports name their files by paths of this machine; in the manifest the record's name stands alone.
-fn input_records(job: &Job, scene: &SceneReport) -> Result<Vec<InputRecord>> {
-    let splats = scene.splats.iter().map(|report| serde_json::json!(report));
-    let meshes = scene.meshes.iter().map(|report| serde_json::json!(report));
-    let paths = job.splats.iter().map(|input| &input.path).chain(job.meshes.iter().map(|input| &input.path));
-    paths
-        .zip(splats.chain(meshes))
+fn input_records(scene: &SceneReport) -> Result<Vec<InputRecord>> {
+    let splats = scene.splats.iter().map(|report| (&report.path, serde_json::json!(report)));
+    let meshes = scene.meshes.iter().map(|report| (&report.path, serde_json::json!(report)));
+    let mut digests = BTreeMap::new();
+    splats
+        .chain(meshes)
         .map(|(path, mut report)| {
             if let Some(fields) = report.as_object_mut() {
                 fields.remove("path");
             }
-            let (bytes, blake3) = manifest::digest(path)?;
+            let (bytes, blake3) = match digests.get(path) {
+                Some(digest) => Clone::clone(digest),
+                None => digests.entry(path).or_insert(manifest::digest(&ingest::index_file(path))?).clone(),
+            };
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             Ok(InputRecord { path: name, bytes, blake3, report })
         })

@@ -73,12 +73,21 @@ pub fn robust_bounds(points: &[Vec3]) -> Option<Bounds> {
     let tail = (last as f64 * TAIL) as usize;
     let range = |axis: usize| {
         let mut values: Vec<f32> = sampled.iter().map(|point| point[axis]).collect();
-        let mut order = |i: usize| f64::from(*values.select_nth_unstable_by(i, f32::total_cmp).1);
-        let [least, low, high, greatest] = [0, tail, last - tail, last].map(&mut order);
+        let (below, &mut low, rest) = values.select_nth_unstable_by(tail, f32::total_cmp);
+        let least = below.iter().copied().fold(low, f32::min);
+        // Counted from `rest` on, which lacks what is below and the lower end itself.
+        let (high, greatest) = match (last - tail).checked_sub(tail + 1) {
+            Some(high) => {
+                let (_, &mut high, above) = rest.select_nth_unstable_by(high, f32::total_cmp);
+                (high, above.iter().copied().fold(high, f32::max))
+            }
+            None => (low, low),
+        };
+        let [least, low, high, greatest] = [least, low, high, greatest].map(f64::from);
         let margin = (high - low) * MARGIN;
         ((low - margin).max(least), (high + margin).min(greatest))
     };
-    let [x, y, z] = [0, 1, 2].map(range);
+    let (x, (y, z)) = rayon::join(|| range(0), || rayon::join(|| range(1), || range(2)));
     Some(Bounds { min: DVec3::new(x.0, y.0, z.0), max: DVec3::new(x.1, y.1, z.1) })
 }
 

@@ -24,7 +24,8 @@ pub struct Scene {
     pub splats: Splats,
     /// The triangles of all mesh inputs.
     pub meshes: Meshes,
-    /// How the splats' colours are encoded; decides the conversion after blending.
+    /// How the splats' colours are encoded; decides the conversion after blending. In a scene of mixed encodings, that
+    /// of the Gaussians that are not [linear](Splats::linear).
     pub encoding: SplatEncoding,
     /// Linear radiance of rays that leave the scene.
     pub background: LinearRgb,

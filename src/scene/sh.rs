@@ -17,7 +17,8 @@ pub const fn coefficient_count(degree: u8) -> usize {
     (degree as usize + 1) * (degree as usize + 1)
 }
 
-const C0: f64 = 0.282_094_791_773_878_14;
+/// Band 0 of the basis, the same in every direction: a Gaussian of one colour has the coefficient `(colour - 1/2) / C0`.
+pub const C0: f64 = 0.282_094_791_773_878_14;
 const C1: f64 = 0.488_602_511_902_919_9;
 const C2: [f64; 3] = [1.092_548_430_592_079_2, 0.315_391_565_252_520_05, 0.546_274_215_296_039_6];
 const C3: [f64; 5] = [

@@ -27,6 +27,9 @@ pub struct Splats {
     /// Spherical harmonics coefficients: per Gaussian red, green, blue, each `(sh_degree + 1)^2` values ordered
     /// by band and then by order m from -l to l. See [`sh`] for the basis. Colour is `max(0, 1/2 + sum)`.
     pub sh: Vec<f32>,
+    /// For each Gaussian, whether its colour is linear light although [`Scene::encoding`](super::Scene::encoding) is a
+    /// display's. Empty when that is so for none.
+    pub linear: Vec<bool>,
 }
 
 impl Splats {
@@ -51,6 +54,12 @@ impl Splats {
         &self.sh[i * stride..(i + 1) * stride]
     }
 
+    /// Whether Gaussian `i` adds to linear light by itself, apart from the blended display colour.
+    #[inline]
+    pub fn is_linear(&self, i: usize) -> bool {
+        self.linear.get(i).is_some_and(|&linear| linear)
+    }
+
     /// `S^-1 R^T` from a rotation and three standard deviations in metres, formed in f64.
     pub fn unit_from_world(rotation: DQuat, standard_deviations: DVec3) -> Mat3 {
         let rotation_transposed = DMat3::from_quat(rotation).transpose();
@@ -60,7 +69,7 @@ impl Splats {
     /// `S^-1 R^T` from the principal axes: columns that are orthogonal to each other, as long as their standard deviation
     /// in metres. They may be left-handed. Formed in f64.
     pub fn unit_from_axes(axes: DMat3) -> Mat3 {
-        let unit = |axis: DVec3| axis / axis.length_squared();
+        let unit = |axis: DVec3| axis * axis.length_squared().recip();
         DMat3::from_cols(unit(axes.x_axis), unit(axes.y_axis), unit(axes.z_axis)).transpose().as_mat3()
     }
 
@@ -112,6 +121,9 @@ impl Splats {
         permute(&mut self.unit_from_world, 1, order);
         permute(&mut self.opacities, 1, order);
         permute(&mut self.sh, stride, order);
+        if !self.linear.is_empty() {
+            permute(&mut self.linear, 1, order);
+        }
     }
 }
 

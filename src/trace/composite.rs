@@ -38,6 +38,13 @@ impl Blender {
         self.splat_weight += weight;
     }
 
+    /// Blends the response of a Gaussian whose colour is linear light: it joins the surfaces.
+    #[inline]
+    pub fn linear_splat(&mut self, alpha: f64, radiance: DVec3, distance: f64) {
+        let weight = self.advance(alpha, distance);
+        self.surface_sum += radiance * weight;
+    }
+
     /// Blends a surface, `distance` metres away.
     #[inline]
     pub fn surface(&mut self, fragment: Fragment, distance: f64) {
@@ -72,7 +79,7 @@ pub struct Radiance {
     pub splat_sum: Vec3,
     /// Sum of splat weights.
     pub splat_weight: f32,
-    /// Sum of surface weights times linear surface radiance.
+    /// Sum of weights times linear radiance, of surfaces and, in a scene of mixed encodings, of linear Gaussians.
     pub surface_sum: Vec3,
     /// Sum of all weights times their distance, in metres.
     pub distance_sum: f32,

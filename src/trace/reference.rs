@@ -39,6 +39,9 @@ impl ReferenceTracer<'_> {
         let mut blender = Blender::default();
         for event in &events {
             match event.what {
+                Met::Gaussian { index, alpha } if self.scene.splats.is_linear(index) => {
+                    blender.linear_splat(alpha, self.colour(index, ray), event.distance);
+                }
                 Met::Gaussian { index, alpha } => blender.splat(alpha, self.colour(index, ray), event.distance),
                 Met::Surface(fragment) => blender.surface(fragment, event.distance),
             }

@@ -10,13 +10,13 @@ use std::path::{Path, PathBuf};
 use glam::{DVec3, Vec3};
 use splatprobe::Error;
 use splatprobe::ingest::{SceneReport, inspect_splats, load_scene};
-use splatprobe::job::{Frame, SplatInput, Transform};
+use splatprobe::job::{Crop, Frame, SplatInput};
 use splatprobe::scene::{Scene, SplatEncoding, sh};
 
 use builder::{Builder, Encoding, Others, splats, value};
 
 fn input(path: &Path) -> SplatInput {
-    SplatInput { path: path.into(), frame: None, transform: Transform::default(), encoding: None }
+    SplatInput::new(path)
 }
 
 /// Loads `bytes` as a file, with changes to the input.
@@ -203,15 +203,36 @@ fn merged_inputs_share_the_highest_degree_and_pad_the_others_with_zero() {
 }
 
 #[test]
-fn inputs_of_different_encodings_cannot_be_merged() {
+fn linear_inputs_beside_display_ones_are_marked_and_inputs_of_one_kind_are_not() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("scene.ply");
     std::fs::write(&path, splats(0, 2).bytes()).expect("written");
     let linear = SplatInput { encoding: Some(SplatEncoding::LinScene), ..input(&path) };
-    let error = load_scene(&[input(&path), linear.clone()], &[]).expect_err("mixed encodings");
-    assert!(matches!(error, Error::Request { .. }) && error.to_string().contains("splats[1].encoding"), "{error}");
+    let (mixed, report) = load_scene(&[linear.clone(), input(&path)], &[]).expect("loads");
+    assert_eq!((mixed.encoding, mixed.splats.linear), (SplatEncoding::SrgbDisplay, vec![true, true, false, false]));
+    assert_eq!(report.splats[0].encoding, SplatEncoding::LinScene);
     let (scene, _) = load_scene(&[linear.clone(), linear], &[]).expect("loads");
-    assert_eq!(scene.encoding, SplatEncoding::LinScene);
+    assert_eq!((scene.encoding, scene.splats.linear), (SplatEncoding::LinScene, Vec::new()));
+}
+
+#[test]
+fn crop_and_minimum_opacity_drop_by_world_mean_and_peak_and_are_counted() {
+    let mut file = splats(0, 5);
+    for (row, (x, logit)) in [(0.0, 4.0), (1.0, 4.0), (2.0, -1.0), (3.0, 4.0), (9.0, -20.0)].into_iter().enumerate() {
+        file = file.set(row, "x", x).set(row, "y", 0.0).set(row, "z", 0.0).set(row, "opacity", logit);
+    }
+    let select = |input: &mut SplatInput| {
+        input.transform.translation = [10.0, 0.0, 0.0];
+        input.crop = Some(Crop::Box([10.5, -1.0, -1.0, 13.0, 1.0, 1.0]));
+        input.min_opacity = 0.5;
+    };
+    let (scene, report) = load_with(&file.bytes(), select).expect("loads");
+    assert_eq!(scene.splats.means, [Vec3::new(11.0, 0.0, 0.0), Vec3::new(13.0, 0.0, 0.0)]);
+    let dropped = report.splats[0].dropped;
+    assert_eq!((dropped.cropped, dropped.below_min_opacity, dropped.transparent, dropped.total()), (1, 1, 1, 3));
+    let error = load_with(&file.bytes(), |input| input.crop = Some(Crop::Sphere([0.0, 50.0, 0.0, 1.0])));
+    let error = error.expect_err("nothing left");
+    assert!(matches!(error, Error::Request { .. }) && error.to_string().contains("splats[0].crop"), "{error}");
 }
 
 #[test]

@@ -3,6 +3,8 @@
 //! glTF 2.0, sections 3.6.2 and 3.11 (normalised integers); KHR_mesh_quantization allows the same types for more
 //! attributes and so needs nothing of its own.
 
+use std::ops::Range;
+
 use gltf::json::accessor::{self, ComponentType, GenericComponentType, IndexComponentType, Type};
 use gltf::json::validation::Checked;
 use gltf::json::{Accessor, Index};
@@ -11,12 +13,16 @@ use super::container::{Asset, place};
 use super::resource::view_bytes;
 use crate::Result;
 
-/// Where the elements of an accessor lie.
-struct Layout {
-    count: usize,
-    component: ComponentType,
+/// What the elements of an accessor are.
+#[derive(Debug, Clone, Copy)]
+pub struct Layout {
+    /// How many there are.
+    pub count: usize,
+    /// Type of a component.
+    pub component: ComponentType,
     components: usize,
-    normalized: bool,
+    /// Whether integers stand for fractions of their type's range.
+    pub normalized: bool,
 }
 
 /// The elements of an accessor as vectors of `N` floats. The accessor's type must be one of `accepted`; components
@@ -39,7 +45,7 @@ pub fn read_vectors<const N: usize>(
             let offset = accessor.byte_offset.map_or(0, |offset| offset.0);
             let bytes = view_bytes(asset, view, &there)?;
             let stride = stride_of(asset, view);
-            let elements = elements(asset, bytes, offset, stride, layout.element_bytes(), layout.count, &there)?;
+            let elements = elements(asset, &bytes, offset, stride, layout.element_bytes(), layout.count, &there)?;
             vectors.extend(elements.map(|element| layout.decode(element)));
         }
         None => {
@@ -66,12 +72,12 @@ pub fn read_indices(asset: &Asset, index: Index<Accessor>, here: &str) -> Result
     let offset = accessor.byte_offset.map_or(0, |offset| offset.0);
     let bytes = view_bytes(asset, view, &there)?;
     let stride = stride_of(asset, view);
-    let elements = elements(asset, bytes, offset, stride, layout.element_bytes(), layout.count, &there)?;
+    let elements = elements(asset, &bytes, offset, stride, layout.element_bytes(), layout.count, &there)?;
     Ok(elements.map(unsigned_integer).collect())
 }
 
 /// Count and types, with a count that the file's size can justify.
-fn layout_of(asset: &Asset, accessor: &Accessor, there: &str) -> Result<(Layout, Type)> {
+pub fn layout_of(asset: &Asset, accessor: &Accessor, there: &str) -> Result<(Layout, Type)> {
     let (Checked::Valid(GenericComponentType(component)), Checked::Valid(kind)) =
         (accessor.component_type, accessor.type_)
     else {
@@ -87,12 +93,13 @@ fn layout_of(asset: &Asset, accessor: &Accessor, there: &str) -> Result<(Layout,
 }
 
 impl Layout {
-    fn element_bytes(&self) -> usize {
+    /// Size of an element.
+    pub fn element_bytes(&self) -> usize {
         self.component.size() * self.components
     }
 
     /// The floats of one element; components past the accessor's are 1.
-    fn decode<const N: usize>(&self, element: &[u8]) -> [f32; N] {
+    pub fn decode<const N: usize>(&self, element: &[u8]) -> [f32; N] {
         let mut vector = [1.0; N];
         for (value, bytes) in vector.iter_mut().zip(element.chunks_exact(self.component.size())) {
             *value = float(self.component, self.normalized, bytes);
@@ -120,7 +127,7 @@ fn unsigned_integer(bytes: &[u8]) -> u32 {
 }
 
 /// byteStride of a view that [`view_bytes`] has found.
-fn stride_of(asset: &Asset, view: Index<gltf::json::buffer::View>) -> Option<usize> {
+pub fn stride_of(asset: &Asset, view: Index<gltf::json::buffer::View>) -> Option<usize> {
     asset.root.get(view).and_then(|view| view.byte_stride).map(|stride| stride.0)
 }
 
@@ -135,6 +142,20 @@ fn elements<'a>(
     there: &str,
 ) -> Result<impl Iterator<Item = &'a [u8]> + use<'a>> {
     let stride = stride.unwrap_or(size);
+    let range = element_range(asset, bytes.len(), offset, stride, size, count, there)?;
+    Ok(bytes[range].chunks(stride).map(move |element| &element[..size]))
+}
+
+/// Where `count` elements of `size` bytes, `stride` apart, from `offset` on lie in a view of `view` bytes.
+pub fn element_range(
+    asset: &Asset,
+    view: usize,
+    offset: u64,
+    stride: usize,
+    size: usize,
+    count: usize,
+    there: &str,
+) -> Result<Range<usize>> {
     if stride < size {
         return Err(asset.invalid(there, format!("byteStride {stride} is less than an element's {size} bytes")));
     }
@@ -144,14 +165,12 @@ fn elements<'a>(
     };
     let offset_bytes = usize::try_from(offset).ok();
     let range = offset_bytes.zip(length).and_then(|(start, length)| Some(start..start.checked_add(length)?));
-    let bytes = range.and_then(|range| bytes.get(range)).ok_or_else(|| {
-        let view = bytes.len();
+    range.filter(|range| range.end <= view).ok_or_else(|| {
         let what = format!(
             "{count} elements of {size} bytes, {stride} apart, from byte {offset} on do not fit the bufferView's {view} bytes"
         );
         asset.invalid(there, what)
-    })?;
-    Ok(bytes.chunks(stride).map(move |element| &element[..size]))
+    })
 }
 
 /// Replaces the elements that `sparse` lists.
@@ -171,8 +190,8 @@ fn substitute<const N: usize>(
     let (indices, values) = (&sparse.indices, &sparse.values);
     let index_bytes = view_bytes(asset, indices.buffer_view, there)?;
     let value_bytes = view_bytes(asset, values.buffer_view, there)?;
-    let indices = elements(asset, index_bytes, indices.byte_offset.0, None, component.size(), count, there)?;
-    let values = elements(asset, value_bytes, values.byte_offset.0, None, layout.element_bytes(), count, there)?;
+    let indices = elements(asset, &index_bytes, indices.byte_offset.0, None, component.size(), count, there)?;
+    let values = elements(asset, &value_bytes, values.byte_offset.0, None, layout.element_bytes(), count, there)?;
     for (index, value) in indices.map(unsigned_integer).zip(values) {
         let target = vectors.get_mut(index as usize);
         *target.ok_or_else(|| asset.invalid(there, format!("sparse index {index} is out of range")))? =
@@ -193,7 +212,14 @@ mod tests {
     fn asset(json: Value, buffer: Vec<u8>) -> Asset {
         let root: Root = serde_json::from_value(json).unwrap();
         let path = PathBuf::from("test.gltf");
-        Asset { path, folder: PathBuf::new(), root, local_transforms: Vec::new(), buffers: vec![buffer.into()] }
+        Asset {
+            path,
+            folder: PathBuf::new(),
+            root,
+            local_transforms: Vec::new(),
+            splats: Default::default(),
+            buffers: vec![buffer.into()],
+        }
     }
 
     /// A component type's code, four values as its bytes, and as floats: as they are, and normalised.

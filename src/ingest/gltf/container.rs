@@ -1,5 +1,6 @@
 //! The file itself: GLB or JSON, its typed root, its extensions, and look-ups that name what is missing.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -8,16 +9,30 @@ use gltf::json::{Index, Root};
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::resource;
+use super::primitives::SplatPrimitives;
+use super::resource::{self, Bytes};
+use crate::ingest::map;
 use crate::{Error, Result};
 
-/// Extensions whose effect on geometry and unlit colour is implemented.
-const SUPPORTED: [&str; 5] = [
+/// What a GLB begins with.
+const MAGIC: &[u8] = b"glTF";
+
+/// Whether a file's bytes are a GLB, or JSON with the member that every glTF file must have.
+pub fn is_gltf(bytes: &[u8]) -> bool {
+    let is_json = || bytes.iter().find(|byte| !byte.is_ascii_whitespace()) == Some(&b'{');
+    bytes.starts_with(MAGIC) || is_json() && bytes.windows(7).any(|window| window == b"\"asset\"")
+}
+
+/// Extensions whose effect on geometry, splats and unlit colour is implemented.
+const SUPPORTED: [&str; 8] = [
     "KHR_materials_unlit",
     "KHR_materials_emissive_strength",
     "KHR_texture_transform",
     "KHR_mesh_quantization",
     "EXT_mesh_gpu_instancing",
+    "KHR_gaussian_splatting",
+    "KHR_gaussian_splatting_compression_spz",
+    "KHR_gaussian_splatting_compression_spz_2",
 ];
 
 /// Extensions that a file may require although they are not implemented: they shape reflected light, motion or
@@ -46,8 +61,10 @@ pub struct Asset {
     pub root: Root,
     /// `nodes` again, with the transforms in the f64 that JSON has; `root` rounds them to f32.
     pub local_transforms: Vec<LocalTransform>,
+    /// Which primitives of which meshes are splats.
+    pub splats: SplatPrimitives,
     /// Content of each buffer, cut to its byteLength.
-    pub buffers: Vec<Arc<[u8]>>,
+    pub buffers: Vec<Bytes>,
 }
 
 /// How a node stands in its parent, as written: `matrix` (column by column) or translation, rotation and scale.
@@ -67,8 +84,15 @@ pub struct LocalTransform {
 impl Asset {
     /// Reads the file at `path`, whichever of GLB and JSON it holds, and the buffers that it names.
     pub fn read(path: &Path) -> Result<Self> {
-        let bytes = std::fs::read(path).map_err(|e| Error::read(path, e))?;
-        let (json, glb_chunk) = if bytes.starts_with(b"glTF") { split_glb(path, &bytes)? } else { (&bytes[..], None) };
+        let (mut asset, glb_chunk) = Self::parse(path)?;
+        asset.buffers = resource::read_buffers(&asset, glb_chunk)?;
+        Ok(asset)
+    }
+
+    /// Reads the JSON of the file at `path`: the asset without its buffers, and the GLB's binary chunk.
+    pub fn parse(path: &Path) -> Result<(Self, Option<Bytes>)> {
+        let bytes = map(path)?;
+        let (json, glb_chunk) = if bytes.starts_with(MAGIC) { split_glb(path, &bytes)? } else { (&bytes[..], None) };
         let json_error = |e: serde_json::Error| {
             Error::invalid(path, format!("JSON line {}, column {}", e.line(), e.column()), format!("not glTF: {e}"))
         };
@@ -78,11 +102,12 @@ impl Asset {
             Some(nodes) => Vec::deserialize(nodes).map_err(|e| Error::invalid(path, "/nodes", e.to_string()))?,
             None => Vec::new(),
         };
+        let splats = SplatPrimitives::of(path, &value)?;
         let root = Root::deserialize(value).map_err(|e| Error::invalid(path, "JSON", format!("not glTF 2.0: {e}")))?;
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_path_buf();
-        let mut asset = Self { path: path.to_path_buf(), folder, root, local_transforms, buffers: Vec::new() };
-        asset.buffers = resource::read_buffers(&asset, glb_chunk)?;
-        Ok(asset)
+        let asset = Self { path: path.to_path_buf(), folder, root, local_transforms, splats, buffers: Vec::new() };
+        let glb_chunk = glb_chunk.map(|chunk| Bytes::new(Arc::new(bytes), chunk));
+        Ok((asset, glb_chunk))
     }
 
     /// The object that `index` means, or an error that says which property `place` pointed nowhere.
@@ -143,8 +168,8 @@ fn check_version_and_extensions(path: &Path, value: &Value) -> Result<()> {
     Ok(())
 }
 
-/// JSON and BIN chunk of a GLB (glTF 2.0, section 4.4). Unknown chunks are passed over, as the format asks.
-fn split_glb<'a>(path: &Path, bytes: &'a [u8]) -> Result<(&'a [u8], Option<&'a [u8]>)> {
+/// JSON and place of the BIN chunk of a GLB (glTF 2.0, section 4.4). Unknown chunks are passed over, as the format asks.
+fn split_glb<'a>(path: &Path, bytes: &'a [u8]) -> Result<(&'a [u8], Option<Range<usize>>)> {
     let word = |at: usize| -> Result<usize> {
         match bytes.get(at..).and_then(<[u8]>::first_chunk) {
             Some(word) => Ok(u32::from_le_bytes(*word) as usize),
@@ -172,7 +197,7 @@ fn split_glb<'a>(path: &Path, bytes: &'a [u8]) -> Result<(&'a [u8], Option<&'a [
         })?;
         match kind {
             0x4E4F_534A if json.is_none() => json = Some(chunk),
-            0x004E_4942 if bin.is_none() => bin = Some(chunk),
+            0x004E_4942 if bin.is_none() => bin = Some(start..start + chunk_length),
             _ => {}
         }
         at = start + chunk_length;

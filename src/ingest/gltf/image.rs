@@ -51,7 +51,7 @@ impl Images {
         let image = asset.get(index, user)?;
         let here = format!("{} of {user}", place("images", index.value(), image.name.as_deref()));
         let pixels = match (image.buffer_view, image.uri.as_deref()) {
-            (Some(view), _) => self.decode(asset, view_bytes(asset, view, &here)?, &here)?,
+            (Some(view), _) => self.decode(asset, &view_bytes(asset, view, &here)?, &here)?,
             (None, Some(uri)) => self.decode(asset, &read_uri(asset, uri, &here)?, &here)?,
             (None, None) => return Err(asset.invalid(here, "it has neither a bufferView nor a uri")),
         };

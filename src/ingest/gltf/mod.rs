@@ -1,4 +1,4 @@
-//! glTF 2.0 (.glb and .gltf) to world-space triangles.
+//! glTF 2.0 (.glb and .gltf) to world-space triangles, and to splats.
 //!
 //! The `gltf` crate gives the typed JSON. Its validation and its readers are not used: they reject or misread
 //! extensions that are read here, and trust what a hostile file says. What is read instead is checked index by index.
@@ -10,9 +10,11 @@ mod image;
 mod material;
 mod nodes;
 mod pose;
+mod primitives;
 mod resource;
+mod splats;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use glam::{DAffine3, DVec3};
 use gltf::json::{Index, Node};
@@ -28,6 +30,9 @@ use container::{Asset, place};
 use geometry::Geometry;
 use material::Materials;
 use nodes::Hierarchy;
+
+pub(super) use container::is_gltf;
+pub(super) use splats::open_splats;
 
 /// What was read from a glTF file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -67,6 +72,28 @@ pub struct DroppedTriangles {
     pub zero_area: usize,
     /// A corner that is not a number, or too far away for f32.
     pub non_finite: usize,
+}
+
+/// What the scene of a glTF file holds.
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Contents {
+    pub splats: bool,
+    pub meshes: bool,
+}
+
+/// What the scene called `scene`, or the default one, of the file at `path` holds. Buffers are not read.
+pub(super) fn contents(path: &Path, scene: Option<&str>) -> Result<Contents> {
+    let (asset, _) = Asset::parse(path)?;
+    let mut contents = Contents::default();
+    for &node in &Hierarchy::of_scene(&asset, scene)?.order {
+        let Some(mesh) = asset.get(node, "/nodes")?.mesh else { continue };
+        for p in 0..asset.get(mesh, "a node's mesh")?.primitives.len() {
+            let splats = asset.splats.get(mesh.value(), p).is_some();
+            contents.splats |= splats;
+            contents.meshes |= !splats;
+        }
+    }
+    Ok(contents)
 }
 
 /// Appends the triangles of a scene of `input`, with their materials and textures, to `meshes`.
@@ -129,6 +156,9 @@ impl Loader<'_> {
         let skin = node.skin.map(|skin| pose::joint_transforms(self.asset, self.hierarchy, skin, &here));
         let file_from_joints = skin.transpose()?;
         for (i, primitive) in mesh.primitives.iter().enumerate() {
+            if self.asset.splats.get(mesh_index, i).is_some() {
+                continue;
+            }
             let here = format!("{mesh_place}/primitives/{i}");
             let Some(mut geometry) = Geometry::read(self.asset, primitive, &here)? else {
                 self.skipped_primitives += 1;

@@ -1,7 +1,9 @@
 //! Bytes beside the JSON: buffers, buffer views and URIs. Nothing outside the asset's folder is ever opened.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::io::Read;
+use std::ops::{Deref, Range};
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
@@ -12,37 +14,77 @@ use gltf::json::{Index, buffer};
 use super::container::{Asset, place};
 use crate::Result;
 
+/// Bytes that several owners share: of the mapped file itself, or read from beside it.
+#[derive(Clone)]
+pub struct Bytes {
+    whole: Arc<dyn AsRef<[u8]> + Send + Sync>,
+    range: Range<usize>,
+}
+
+impl Bytes {
+    /// The bytes of `whole` in `range`, which must lie inside.
+    pub fn new(whole: Arc<dyn AsRef<[u8]> + Send + Sync>, range: Range<usize>) -> Self {
+        Self { whole, range }
+    }
+
+    /// Those of them in `range`, if it lies inside.
+    pub fn part(&self, range: Range<usize>) -> Option<Self> {
+        self.get(range.clone())?;
+        let start = self.range.start;
+        Some(Self { whole: self.whole.clone(), range: start + range.start..start + range.end })
+    }
+}
+
+impl From<Vec<u8>> for Bytes {
+    fn from(bytes: Vec<u8>) -> Self {
+        let range = 0..bytes.len();
+        Self::new(Arc::new(bytes), range)
+    }
+}
+
+impl Deref for Bytes {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        &(*self.whole).as_ref()[self.range.clone()]
+    }
+}
+
+impl fmt::Debug for Bytes {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} bytes", self.range.len())
+    }
+}
+
 /// Content of every buffer, cut to its byteLength. A buffer without a URI is the GLB's binary chunk.
-pub fn read_buffers(asset: &Asset, glb_chunk: Option<&[u8]>) -> Result<Vec<Arc<[u8]>>> {
+pub fn read_buffers(asset: &Asset, glb_chunk: Option<Bytes>) -> Result<Vec<Bytes>> {
     // A file may name one URI many times; it is held once.
-    let mut by_uri: BTreeMap<&str, Arc<[u8]>> = BTreeMap::new();
+    let mut by_uri: BTreeMap<&str, Bytes> = BTreeMap::new();
     let mut buffers = Vec::with_capacity(asset.root.buffers.len());
     for (i, buffer) in asset.root.buffers.iter().enumerate() {
         let here = place("buffers", i, buffer.name.as_deref());
-        let bytes = match (buffer.uri.as_deref(), glb_chunk) {
+        let bytes = match (buffer.uri.as_deref(), &glb_chunk) {
             (Some(uri), _) => match by_uri.get(uri) {
                 Some(bytes) => bytes.clone(),
                 None => {
-                    let bytes: Arc<[u8]> = read_uri(asset, uri, &here)?.into();
+                    let bytes: Bytes = read_uri(asset, uri, &here)?.into();
                     by_uri.entry(uri).or_insert(bytes).clone()
                 }
             },
-            (None, Some(chunk)) if i == 0 => chunk.into(),
+            (None, Some(chunk)) if i == 0 => chunk.clone(),
             (None, _) => return Err(asset.invalid(here, "it has neither a uri nor a GLB binary chunk")),
         };
-        let length = buffer.byte_length.0;
-        if length > bytes.len() as u64 {
-            let what = format!("byteLength is {length}, but there are only {} bytes", bytes.len());
-            return Err(asset.invalid(here, what));
-        }
-        let length = length as usize;
-        buffers.push(if length == bytes.len() { bytes } else { bytes[..length].into() });
+        let length = usize::try_from(buffer.byte_length.0).ok().and_then(|length| bytes.part(0..length));
+        buffers.push(length.ok_or_else(|| {
+            let what = format!("byteLength is {}, but there are only {} bytes", buffer.byte_length.0, bytes.len());
+            asset.invalid(here, what)
+        })?);
     }
     Ok(buffers)
 }
 
 /// The bytes of a buffer view.
-pub fn view_bytes<'a>(asset: &'a Asset, view: Index<buffer::View>, here: &str) -> Result<&'a [u8]> {
+pub fn view_bytes(asset: &Asset, view: Index<buffer::View>, here: &str) -> Result<Bytes> {
     let index = view.value();
     let view = asset.get(view, here)?;
     let there = place("bufferViews", index, view.name.as_deref());
@@ -50,7 +92,7 @@ pub fn view_bytes<'a>(asset: &'a Asset, view: Index<buffer::View>, here: &str) -
     let bytes = &asset.buffers[view.buffer.value()];
     let start = view.byte_offset.map_or(0, |offset| offset.0);
     let range = usize::try_from(start).ok().zip(usize::try_from(start.saturating_add(view.byte_length.0)).ok());
-    range.and_then(|(start, end)| bytes.get(start..end)).ok_or_else(|| {
+    range.and_then(|(start, end)| bytes.part(start..end)).ok_or_else(|| {
         let what = format!(
             "{} bytes from byte {start} reach past the end of buffer {}, which has {}",
             view.byte_length.0,

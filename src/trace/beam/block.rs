@@ -104,8 +104,9 @@ pub(super) enum Colour {
     /// The same in all lanes, in the splats' encoding.
     Splat([f32; 3]),
     SplatLanes(u32),
-    /// Linear radiance.
-    SurfaceLanes(u32),
+    /// The same in all lanes, linear radiance.
+    Linear([f32; 3]),
+    LinearLanes(u32),
 }
 
 /// What a block's rays have gathered so far.
@@ -404,7 +405,13 @@ impl<const N: usize> Block<N> {
                     }
                     add_weighted(simd, &mut self.splat_weight, v, weight, simd.splat_f32s(1.0));
                 }
-                Colour::SurfaceLanes(colours) => {
+                Colour::Linear(colour) => {
+                    for channel in 0..3 {
+                        let value = simd.splat_f32s(colour[channel]);
+                        add_weighted(simd, &mut self.surface_sum[channel], v, weight, value);
+                    }
+                }
+                Colour::LinearLanes(colours) => {
                     for channel in 0..3 {
                         let value = lane_colours[colours as usize][channel].get::<S>(v);
                         add_weighted(simd, &mut self.surface_sum[channel], v, weight, value);

@@ -168,9 +168,12 @@ impl<'a, const N: usize> Shader<'a, N> {
             return key_min;
         }
         entry.key_max = simd.reduce_max_f32s(key_max);
-        entry.colour = match self.tracer.settings.sh_direction {
-            ShDirection::Mean => Colour::Splat(candidate.colour),
-            ShDirection::Ray => self.colours_along_rays(block, candidate.index as usize),
+        let linear = self.tracer.scene.splats.is_linear(candidate.index as usize);
+        entry.colour = match (self.tracer.settings.sh_direction, linear) {
+            (ShDirection::Mean, false) => Colour::Splat(candidate.colour),
+            (ShDirection::Mean, true) => Colour::Linear(candidate.colour),
+            (ShDirection::Ray, false) => Colour::SplatLanes(self.colours_along_rays(block, candidate.index as usize)),
+            (ShDirection::Ray, true) => Colour::LinearLanes(self.colours_along_rays(block, candidate.index as usize)),
         };
         key_min
     }
@@ -213,13 +216,13 @@ impl<'a, const N: usize> Shader<'a, N> {
             }
         }
         if key_min < f32::INFINITY {
-            entry.colour = Colour::SurfaceLanes(self.lane_colours.len() as u32);
+            entry.colour = Colour::LinearLanes(self.lane_colours.len() as u32);
             self.lane_colours.push(colours);
         }
         key_min
     }
 
-    fn colours_along_rays(&mut self, block: &Block<N>, index: usize) -> Colour {
+    fn colours_along_rays(&mut self, block: &Block<N>, index: usize) -> u32 {
         let splats = &self.tracer.scene.splats;
         let mut colours = [Lanes::splat(0.0); 3];
         for lane in 0..N {
@@ -230,7 +233,7 @@ impl<'a, const N: usize> Shader<'a, N> {
             }
         }
         self.lane_colours.push(colours);
-        Colour::SplatLanes(self.lane_colours.len() as u32 - 1)
+        self.lane_colours.len() as u32 - 1
     }
 }
 

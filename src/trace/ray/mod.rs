@@ -213,7 +213,11 @@ impl RayTracer<'_> {
             match scratch.met[event as u32 as usize] {
                 Met::Gaussian { index, alpha, distance } => {
                     let colour = self.colour(index, ray, scratch);
-                    blender.splat(alpha, colour, distance);
+                    if self.scene.splats.is_linear(index as usize) {
+                        blender.linear_splat(alpha, colour, distance);
+                    } else {
+                        blender.splat(alpha, colour, distance);
+                    }
                 }
                 Met::Surface(hit) => blender.surface(self.surfaces.fragment(ray, &hit), hit.distance),
             }

@@ -1,0 +1,164 @@
+//! Where a stage's layers come from: the folder of its file, and nowhere else. Every layer is checked before it is parsed.
+
+use std::io::{self, Cursor};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use openusd::ar::{self, Asset, DefaultResolver, ResolvedPath, Resolver};
+
+use super::crate_check;
+
+/// What a package (USDZ) begins with: it is a zip archive.
+pub const PACKAGE_MAGIC: &[u8] = b"PK\x03\x04";
+
+/// Deepest nesting of brackets in a text layer; the parser recurses.
+const MAX_NESTING: usize = 256;
+
+/// Resolves assets inside one folder.
+pub struct FolderResolver {
+    /// Canonical.
+    folder: PathBuf,
+    paths: DefaultResolver,
+}
+
+impl FolderResolver {
+    /// For the layers in `folder` and below it.
+    pub fn new(folder: &Path) -> io::Result<Self> {
+        Ok(Self { folder: folder.canonicalize()?, paths: DefaultResolver::new() })
+    }
+
+    /// The file that holds `asset`, and the entry in it where it is an archive.
+    fn file_of(&self, asset: &str) -> io::Result<(PathBuf, Option<String>)> {
+        let (file, entry) = match ar::split_package_relative_path_outer(asset) {
+            Some((package, entry)) => (package, Some(entry)),
+            None => (asset.to_owned(), None),
+        };
+        let file = Path::new(&file).canonicalize()?;
+        if !file.starts_with(&self.folder) {
+            return Err(io::Error::other("it leads out of the stage's folder; it must stay inside"));
+        }
+        Ok((file, entry))
+    }
+}
+
+impl Resolver for FolderResolver {
+    fn create_identifier(&self, asset_path: &str, anchor: Option<&ResolvedPath>) -> String {
+        self.paths.create_identifier(asset_path, anchor)
+    }
+
+    fn resolve(&self, asset_path: &str) -> Option<ResolvedPath> {
+        // Before the other looks into it: an archive's directory is read to resolve an entry.
+        self.file_of(asset_path).ok()?;
+        self.paths.resolve(asset_path)
+    }
+
+    fn resolve_for_new_asset(&self, _: &str) -> Option<ResolvedPath> {
+        None
+    }
+
+    fn open_asset(&self, resolved_path: &ResolvedPath) -> io::Result<Box<dyn Asset>> {
+        let (file, entry) = self.file_of(&resolved_path.to_string_lossy())?;
+        if !file.metadata()?.is_file() {
+            return Err(io::Error::other("it is not a file"));
+        }
+        let mut bytes = std::fs::read(file)?;
+        if let Some(entry) = entry {
+            let mut package = open_package(&bytes)?;
+            let index = package.index_for_name(&entry);
+            let index = index.ok_or_else(|| io::Error::other(format!("the package has no '{entry}'")))?;
+            let range = stored_entry(&bytes, &mut package, index)?;
+            bytes.drain(range.end..);
+            bytes.drain(..range.start);
+        }
+        check_layer(&bytes)?;
+        Ok(Box::new(Cursor::new(bytes)))
+    }
+
+    fn identity(&self) -> String {
+        self.paths.identity()
+    }
+}
+
+/// Whether the bytes of a layer or package are safe to parse. Other files, images among them, are not looked into.
+fn check_layer(bytes: &[u8]) -> io::Result<()> {
+    if bytes.starts_with(crate_check::MAGIC) {
+        return crate_check::check(bytes).map_err(|(place, what)| io::Error::other(format!("{place}: {what}")));
+    }
+    if bytes.starts_with(b"#") {
+        return check_nesting(bytes);
+    }
+    if !bytes.starts_with(PACKAGE_MAGIC) {
+        return Ok(());
+    }
+    let mut package = open_package(bytes)?;
+    // Entries that overlap would make the work quadratic.
+    let mut left = bytes.len();
+    for index in 0..package.len() {
+        let entry = &bytes[stored_entry(bytes, &mut package, index)?];
+        left = left.checked_sub(entry.len()).ok_or_else(|| io::Error::other("entries of the package overlap"))?;
+        // Packages inside of packages are not opened.
+        if !entry.starts_with(PACKAGE_MAGIC) {
+            check_layer(entry)?;
+        }
+    }
+    Ok(())
+}
+
+type Package<'a> = zip::ZipArchive<Cursor<&'a [u8]>>;
+
+fn open_package(bytes: &[u8]) -> io::Result<Package<'_>> {
+    zip::ZipArchive::new(Cursor::new(bytes)).map_err(io::Error::other)
+}
+
+/// Where the content of an entry of the package in `bytes` lies. USDZ stores entries as they are.
+fn stored_entry(bytes: &[u8], package: &mut Package, index: usize) -> io::Result<Range<usize>> {
+    let entry = package.by_index_raw(index).map_err(io::Error::other)?;
+    let name = entry.name();
+    if entry.compression() != zip::CompressionMethod::Stored || entry.encrypted() {
+        return Err(io::Error::other(format!("'{name}' is compressed or encrypted, which USDZ forbids")));
+    }
+    let place = entry.data_start().and_then(|start| {
+        let start = usize::try_from(start).ok()?;
+        Some(start..start.checked_add(usize::try_from(entry.size()).ok()?)?)
+    });
+    let whole = place.filter(|range| range.end <= bytes.len());
+    whole.ok_or_else(|| io::Error::other(format!("'{name}' reaches past the end of the package")))
+}
+
+/// Refuses text whose brackets, outside of strings and comments, are nested deeper than any scene's.
+fn check_nesting(text: &[u8]) -> io::Result<()> {
+    let mut depth = 0usize;
+    let mut at = 0;
+    while let Some(&byte) = text.get(at) {
+        match byte {
+            b'(' | b'[' | b'{' => depth += 1,
+            b')' | b']' | b'}' => depth = depth.saturating_sub(1),
+            b'"' | b'\'' => at = string_end(text, at),
+            b'#' => at += text[at..].iter().position(|&byte| byte == b'\n').unwrap_or(text.len()),
+            _ => {}
+        }
+        if depth > MAX_NESTING {
+            return Err(io::Error::other(format!("byte {at}: nested deeper than {MAX_NESTING} brackets")));
+        }
+        at += 1;
+    }
+    Ok(())
+}
+
+/// The last byte of the string that begins at `start`, with one quote or three.
+fn string_end(text: &[u8], start: usize) -> usize {
+    let quote = text[start];
+    let triple = text[start..].starts_with(&[quote; 3]);
+    let width = if triple { 3 } else { 1 };
+    let mut at = start + width;
+    while let Some(&byte) = text.get(at) {
+        match byte {
+            b'\\' => at += 1,
+            b'\n' if !triple => return at,
+            _ if text[at..].starts_with(&[quote; 3][..width]) => return at + width - 1,
+            _ => {}
+        }
+        at += 1;
+    }
+    text.len()
+}
