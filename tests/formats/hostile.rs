@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use splatprobe::Error;
 
+use super::ksplat::section;
 use super::packed_files::compressed_ply::Variant;
 use super::packed_files::{compressed_ply, ksplat, splat, spz};
 use super::{Random, known, load};
@@ -18,7 +19,7 @@ fn small_files() -> Vec<(&'static str, Vec<u8>, Vec<Range<usize>>)> {
         files.push(("compressed PLY", bytes.clone(), whole(&bytes)));
     }
     for level in 0..=2 {
-        let bytes = ksplat::file(level, &[ksplat::section(known(1, 13), 1), ksplat::section(known(2, 2), 2)]);
+        let bytes = ksplat::file(level, &[section(known(1, 13), 1), section(known(2, 2), 2)]);
         let meaning = vec![0..44, 4096..4138, 5120..5162, 6144..bytes.len()];
         files.push((".ksplat", bytes, meaning));
     }
