@@ -71,24 +71,24 @@ impl Spz {
     /// Everything but the bands from 1 on.
     fn decode(&self, gaussian: &mut FileGaussian, values: [&[u8]; 5]) {
         let [position, opacity, colour, scale, rotation] = values;
-        gaussian.mean = match position {
-            &[x0, x1, x2, y0, y1, y2, z0, z1, z2] => {
+        gaussian.mean = match *position {
+            [x0, x1, x2, y0, y1, y2, z0, z1, z2] => {
                 // The 24 bits stand above 8 of zero, so that the sign is where it belongs.
                 let fixed = |low, middle, high| f64::from(i32::from_le_bytes([0, low, middle, high]));
                 DVec3::new(fixed(x0, x1, x2), fixed(y0, y1, y2), fixed(z0, z1, z2)) * self.position_unit
             }
-            &[x0, x1, y0, y1, z0, z1] => {
+            [x0, x1, y0, y1, z0, z1] => {
                 let half = |bytes| f64::from(f16::from_le_bytes(bytes));
                 DVec3::new(half([x0, x1]), half([y0, y1]), half([z0, z1]))
             }
             _ => DVec3::NAN,
         };
-        gaussian.rotation = match rotation {
-            &[x, y, z] => {
+        gaussian.rotation = match *rotation {
+            [x, y, z] => {
                 let [x, y, z] = [x, y, z].map(|byte| f64::from(byte) / 127.5 - 1.0);
                 DQuat::from_xyzw(x, y, z, (1.0 - (x * x + y * y + z * z)).max(0.0).sqrt())
             }
-            &[a, b, c, d] => smallest_three(u32::from_le_bytes([a, b, c, d])),
+            [a, b, c, d] => smallest_three(u32::from_le_bytes([a, b, c, d])),
             _ => DQuat::NAN,
         };
         if let &[x, y, z] = scale {
