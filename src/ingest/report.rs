@@ -100,7 +100,7 @@ pub struct Quantiles {
 }
 
 /// At most this many Gaussians decide a distribution, taken at a fixed stride.
-const SAMPLES: usize = 1 << 20;
+const SAMPLES: usize = 1 << 18;
 
 impl Quantiles {
     /// Percentiles by nearest rank; `None` without values.

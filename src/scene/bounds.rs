@@ -17,7 +17,7 @@ pub struct Bounds {
 }
 
 /// At most this many points decide robust bounds.
-const SAMPLES: usize = 1 << 20;
+const SAMPLES: usize = 1 << 18;
 
 /// Share of the points that may lie outside at each end of each axis.
 const TAIL: f64 = 0.01;
@@ -64,8 +64,8 @@ impl Bounds {
 /// The box that most of `points` fill, however far a few lie: per axis the 1st and 99th percentile, widened by 5 % of
 /// their distance but not beyond the points themselves. `None` when there are no points.
 ///
-/// Points must be finite. Below 100 points nothing counts as an outlier. At most about a million points at a fixed
-/// stride are looked at, so the answer is deterministic and the time linear.
+/// Points must be finite. Below 100 points nothing counts as an outlier. At most about a quarter of a million points
+/// at a fixed stride are looked at, so the answer is deterministic and the time linear.
 pub fn robust_bounds(points: &[Vec3]) -> Option<Bounds> {
     let stride = points.len().div_ceil(SAMPLES).max(1);
     let sampled: Vec<Vec3> = points.iter().copied().step_by(stride).collect();

@@ -90,6 +90,8 @@ fn counts_that_do_not_fit_together_or_into_the_file_are_errors() {
         ("property uchar f_rest_8\n", "", "8 properties f_rest_"),
         ("property uchar f_rest_3\n", "property uchar f_rest_9\n", "'f_rest_3' of type U8"),
         ("property uchar f_rest_3\n", "property list uchar uchar f_rest_3\n", "'f_rest_3' of type U8"),
+        ("uchar f_rest_3\n", "uchar f_rest_4\n", "'f_rest_4' is declared twice"),
+        ("f_rest_3\nproperty uchar f_rest_4\n", "f_rest_4\nproperty uchar f_rest_3\n", "'f_rest_3' not after"),
         ("element chunk", "element chunks", "without 'element chunk'"),
         ("binary_little_endian", "ascii", "only binary_little_endian"),
         ("binary_little_endian", "binary_big_endian", "only binary_little_endian"),

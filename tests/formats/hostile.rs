@@ -1,26 +1,38 @@
 //! What every format's reader must bear.
 
-use std::ops::Range;
-
 use splatprobe::Error;
 
+use super::ksplat::section;
 use super::packed_files::compressed_ply::Variant;
 use super::packed_files::{compressed_ply, ksplat, splat, spz};
 use super::{Random, known, load};
 
-/// A small file of each format, and the bytes of it that mean something.
-fn small_files() -> Vec<(&'static str, Vec<u8>, Vec<Range<usize>>)> {
+struct SmallFile {
+    format: &'static str,
+    bytes: Vec<u8>,
+    /// The places of the bytes that mean something.
+    meaning: Vec<usize>,
+}
+
+impl SmallFile {
+    fn new(format: &'static str, bytes: Vec<u8>) -> Self {
+        let meaning = (0..bytes.len()).collect();
+        Self { format, bytes, meaning }
+    }
+}
+
+/// Small files of each format whose end can be told from its content.
+fn small_files() -> Vec<SmallFile> {
     let gaussians = known(1, 3);
-    let whole = |bytes: &[u8]| vec![0..bytes.len()];
     let mut files = Vec::new();
     for chunk_colours in [false, true] {
         let bytes = compressed_ply::file(&gaussians, 1, Variant { chunk_colours, strangers: chunk_colours });
-        files.push(("compressed PLY", bytes.clone(), whole(&bytes)));
+        files.push(SmallFile::new("compressed PLY", bytes));
     }
     for level in 0..=2 {
-        let bytes = ksplat::file(level, &[ksplat::section(known(1, 13), 1), ksplat::section(known(2, 2), 2)]);
-        let meaning = vec![0..44, 4096..4138, 5120..5162, 6144..bytes.len()];
-        files.push((".ksplat", bytes, meaning));
+        let bytes = ksplat::file(level, &[section(known(1, 13), 1), section(known(2, 2), 2)]);
+        let meaning = (0..44).chain(4096..4138).chain(5120..5162).chain(6144..bytes.len()).collect();
+        files.push(SmallFile { format: ".ksplat", bytes, meaning });
     }
     for bytes in [
         spz::file(2, &gaussians),
@@ -28,14 +40,14 @@ fn small_files() -> Vec<(&'static str, Vec<u8>, Vec<Range<usize>>)> {
         spz::uncompressed(1, &gaussians, 0, &[]),
         spz::version_4(&gaussians, 0, &[]),
     ] {
-        files.push(("SPZ", bytes.clone(), whole(&bytes)));
+        files.push(SmallFile::new("SPZ", bytes));
     }
     files
 }
 
 #[test]
 fn every_truncation_is_an_error_of_the_file() {
-    for (format, bytes, _) in small_files() {
+    for SmallFile { format, bytes, .. } in small_files() {
         assert!(load(&bytes).is_ok(), "{format}");
         for length in 0..bytes.len() {
             let error = load(&bytes[..length]).expect_err(format);
@@ -44,14 +56,13 @@ fn every_truncation_is_an_error_of_the_file() {
     }
 }
 
-/// Changes up to four bytes of `bytes` within `meaning`, `times` over, and tells how often the file still loaded.
-fn flip(bytes: &[u8], meaning: &[Range<usize>], times: usize, random: &mut Random) -> usize {
-    let places: Vec<usize> = meaning.iter().cloned().flatten().collect();
+/// Changes up to four bytes of `file` that mean something, `times` over, and tells how often it still loaded.
+fn flip(file: &SmallFile, times: usize, random: &mut Random) -> usize {
     let mut loaded = 0;
     for _ in 0..times {
-        let mut broken = bytes.to_vec();
+        let mut broken = file.bytes.clone();
         for _ in 0..1 + random.below(4) {
-            broken[places[random.below(places.len())]] = random.next() as u8;
+            broken[file.meaning[random.below(file.meaning.len())]] = random.bits() as u8;
         }
         if let Ok((scene, _)) = load(&broken) {
             loaded += 1;
@@ -69,13 +80,12 @@ fn ten_thousand_random_changes_per_format_never_panic_and_never_give_unusable_nu
     let mut random = Random(0x1234_5678_9abc_def1);
     let files = small_files();
     for format in ["compressed PLY", ".ksplat", "SPZ"] {
-        let of_format: Vec<_> = files.iter().filter(|file| file.0 == format).collect();
+        let of_format: Vec<_> = files.iter().filter(|file| file.format == format).collect();
         let times = 10_000 / of_format.len() + 1;
-        let loaded: usize = of_format.iter().map(|(_, bytes, meaning)| flip(bytes, meaning, times, &mut random)).sum();
+        let loaded: usize = of_format.iter().map(|file| flip(file, times, &mut random)).sum();
         assert!((500..9_900).contains(&loaded), "{format}: {loaded} of 10000 loaded, so only one side is tested");
     }
-    let bytes = splat::file(&known(0, 3));
-    let loaded = flip(&bytes, &[0..bytes.len()], 10_000, &mut random);
+    let loaded = flip(&SmallFile::new(".splat", splat::file(&known(0, 3))), 10_000, &mut random);
     assert!((500..=10_000).contains(&loaded), ".splat: {loaded}");
 }
 
@@ -88,7 +98,7 @@ fn changes_behind_a_correct_checksum_are_borne_too() {
         let mut broken = raw.clone();
         for _ in 0..1 + random.below(4) {
             let at = random.below(broken.len());
-            broken[at] = random.next() as u8;
+            broken[at] = random.bits() as u8;
         }
         loaded += usize::from(load(&spz::gzip(&broken)).is_ok());
     }

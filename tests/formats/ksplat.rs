@@ -3,8 +3,21 @@ use splatprobe::job::Frame;
 use splatprobe::scene::sh::C0;
 
 use super::packed_files::Known;
-use super::packed_files::ksplat::{Section, file, put, section};
+use super::packed_files::ksplat::{Section, file, put};
 use super::{Tolerance, assert_holds, assert_is_the_published_square, error_of, known, load, load_raw};
+
+/// All of `gaussians` in full buckets of 4, then buckets of 1, 2, 3 and what is left.
+pub fn section(gaussians: Vec<Known>, degree: u8) -> Section {
+    let mut buckets = vec![4; gaussians.len().saturating_sub(6) / 4];
+    let mut left = gaussians.len() - 4 * buckets.len();
+    for length in [1, 2, 3] {
+        let length = left.min(length);
+        buckets.extend((length > 0).then_some(length));
+        left -= length;
+    }
+    buckets.extend((left > 0).then_some(left));
+    Section { gaussians, buckets, capacity: 4, degree }
+}
 
 fn tolerance(level: u16) -> Tolerance {
     let (dc, opacity) = (0.5 / 255.0 / C0 + 1e-6, 0.002);

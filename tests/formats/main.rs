@@ -34,7 +34,7 @@ pub struct Tolerance {
 pub struct Random(pub u64);
 
 impl Random {
-    pub fn next(&mut self) -> u64 {
+    pub fn bits(&mut self) -> u64 {
         self.0 ^= self.0 >> 12;
         self.0 ^= self.0 << 25;
         self.0 ^= self.0 >> 27;
@@ -42,11 +42,11 @@ impl Random {
     }
 
     pub fn below(&mut self, end: usize) -> usize {
-        (self.next() >> 32) as usize * end >> 32
+        ((self.bits() >> 32) as usize * end) >> 32
     }
 
     pub fn uniform(&mut self, least: f64, greatest: f64) -> f64 {
-        least + (greatest - least) * (self.next() >> 11) as f64 / (1_u64 << 53) as f64
+        least + (greatest - least) * (self.bits() >> 11) as f64 / (1_u64 << 53) as f64
     }
 }
 

@@ -59,7 +59,7 @@ fn the_name_decides_only_where_the_content_cannot() {
 #[test]
 fn noise_and_text_are_not_taken_for_splats() {
     let mut random = super::Random(11);
-    let noise: Vec<u8> = (0..64 * 1024).map(|_| random.next() as u8).collect();
+    let noise: Vec<u8> = (0..64 * 1024).map(|_| random.bits() as u8).collect();
     let text = "x,y,z\n0.1234567,0.2345678,0.3456\n".repeat(32).into_bytes();
     for bytes in [noise, text, vec![0; 3200], vec![0xff; 3200]] {
         assert!(error_of(&bytes[..bytes.len() / 32 * 32]).contains("unknown format"));

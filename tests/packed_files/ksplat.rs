@@ -8,7 +8,7 @@ use super::Known;
 
 const BLOCK: f64 = 5.0;
 const RANGE: u32 = 32767;
-pub const SH_BOUNDS: [f32; 2] = [-1.25, 1.0];
+const SH_BOUNDS: [f32; 2] = [-1.25, 1.0];
 
 /// Gaussians of a section, bucket by bucket: a bucket of `capacity` is full.
 pub struct Section {
@@ -16,19 +16,6 @@ pub struct Section {
     pub buckets: Vec<usize>,
     pub capacity: usize,
     pub degree: u8,
-}
-
-/// All of `gaussians` in full buckets of 4, then buckets of 1, 2, 3 and what is left.
-pub fn section(gaussians: Vec<Known>, degree: u8) -> Section {
-    let mut buckets = vec![4; gaussians.len().saturating_sub(6) / 4];
-    let mut left = gaussians.len() - 4 * buckets.len();
-    for length in [1, 2, 3] {
-        let length = left.min(length);
-        buckets.extend((length > 0).then_some(length));
-        left -= length;
-    }
-    buckets.extend((left > 0).then_some(left));
-    Section { gaussians, buckets, capacity: 4, degree }
 }
 
 /// Puts `value` over the bytes from `at` on.

@@ -17,7 +17,7 @@ use super::{CHUNK, Cursor, too_short};
 use crate::error::{Error, Result};
 use crate::ingest::sanitize::FileGaussian;
 use crate::ingest::source::SplatSource;
-use crate::scene::sh::{C0, MAX_DEGREE, coefficient_count};
+use crate::scene::sh::{C0, MAX_COEFFICIENTS, MAX_DEGREE, coefficient_count};
 
 /// Vertices that share a row of `element chunk`. [`CHUNK`] is a multiple of it.
 const BLOCK: usize = 256;
@@ -32,11 +32,9 @@ pub(super) struct CompressedPly {
     vertices: Table,
     vertex_columns: VertexColumns,
     sh: Option<Table>,
-    /// Byte offsets in a row of `sh`: red's bands from 1, then green's, then blue's.
-    sh_columns: Vec<usize>,
+    /// Byte offset in a row of `sh` of red's bands from 1; green's and blue's follow.
+    sh_column: usize,
     sh_degree: u8,
-    /// What a byte of `sh` means.
-    sh_values: [f32; 256],
 }
 
 /// Rows of one size, from byte `start` of the file.
@@ -125,12 +123,11 @@ impl CompressedPly {
 
         let block_columns = BlockColumns::find(path, chunk)?;
         let vertex_columns = VertexColumns::find(path, vertex)?;
-        let (sh_degree, sh_columns) = sh.map_or(Ok((0, Vec::new())), |sh| sh_columns(path, sh))?;
+        let (sh_degree, sh_column) = sh.map_or(Ok((0, 0)), |sh| sh_columns(path, sh))?;
         let table = |element: &Element| table(path, &bytes, header, element);
         let (blocks, vertices, sh) = (table(chunk)?, table(vertex)?, sh.map(table).transpose()?);
         let count = usize::try_from(vertex.count).map_err(|_| too_short(path, &bytes, vertex))?;
-        let sh_values = std::array::from_fn(sh_value);
-        Ok(Self { bytes, count, blocks, block_columns, vertices, vertex_columns, sh, sh_columns, sh_degree, sh_values })
+        Ok(Self { bytes, count, blocks, block_columns, vertices, vertex_columns, sh, sh_column, sh_degree })
     }
 
     /// A vertex without its bands from 1 on.
@@ -163,6 +160,7 @@ impl SplatSource for CompressedPly {
         let first = chunk * CHUNK;
         let mut gaussian = FileGaussian::default();
         let rest_per_channel = coefficient_count(self.sh_degree) - 1;
+        let mut values = [0.0; 3 * MAX_COEFFICIENTS];
         let mut sh_rows = self.sh.map(|sh| sh.rows(&self.bytes, first));
         let mut vertices = self.vertices.rows(&self.bytes, first).take((self.count - first).min(CHUNK));
         let blocks = self.blocks.rows(&self.bytes, first / BLOCK).take(CHUNK / BLOCK);
@@ -174,11 +172,12 @@ impl SplatSource for CompressedPly {
             for vertex in vertices.by_ref().take(BLOCK) {
                 self.decode(&mut gaussian, vertex, &spans);
                 if let Some(row) = sh_rows.as_mut().and_then(Iterator::next) {
+                    // All of them first, because a channel's few bytes are too short a loop for vectors.
+                    let bytes = &row[self.sh_column..self.sh_column + 3 * rest_per_channel];
+                    bytes.iter().zip(&mut values).for_each(|(&byte, value)| *value = sh_value(byte));
                     let channels = gaussian.coefficients.chunks_exact_mut(rest_per_channel + 1);
-                    for (channel, columns) in channels.zip(self.sh_columns.chunks_exact(rest_per_channel)) {
-                        for (coefficient, &column) in channel[1..].iter_mut().zip(columns) {
-                            *coefficient = self.sh_values[usize::from(row[column])];
-                        }
+                    for (channel, values) in channels.zip(values[..bytes.len()].chunks_exact(rest_per_channel)) {
+                        channel[1..].copy_from_slice(values);
                     }
                 }
                 sink(&mut gaussian);
@@ -223,15 +222,22 @@ impl VertexColumns {
     }
 }
 
-/// Degree of `element sh` and the byte offsets of its columns.
-fn sh_columns(path: &Path, sh: &Element) -> Result<(u8, Vec<usize>)> {
+/// Degree of `element sh` and the byte offset of its first column; all stand together and in order.
+fn sh_columns(path: &Path, sh: &Element) -> Result<(u8, usize)> {
     let count = sh.properties.iter().filter(|property| property.name.starts_with("f_rest_")).count();
     let Some(degree) = (1..=MAX_DEGREE).find(|&degree| 3 * (coefficient_count(degree) - 1) == count) else {
         let what = format!("element sh has {count} properties f_rest_*; degree 1 to 4 has 9, 24, 45 or 72");
         return Err(Error::invalid(path, "header", what));
     };
-    let columns = (0..count).map(|i| column(path, sh, &format!("f_rest_{i}"), Scalar::U8)).collect::<Result<_>>()?;
-    Ok((degree, columns))
+    let first = column(path, sh, "f_rest_0", Scalar::U8)?;
+    for i in 1..count {
+        let name = format!("f_rest_{i}");
+        if column(path, sh, &name, Scalar::U8)? != first + i {
+            let what = format!("compressed PLY with property '{name}' not after 'f_rest_{}'", i - 1);
+            return Err(Error::unsupported(path, what));
+        }
+    }
+    Ok((degree, first))
 }
 
 /// Byte offset in a row of `element` of the property `name`, which must have the type `scalar`.
@@ -263,13 +269,12 @@ fn table(path: &Path, bytes: &[u8], header: &Header, element: &Element) -> Resul
 }
 
 /// A byte of `element sh`: buckets between -4 and 4 by their centres, except the first and the last, which are the ends.
-fn sh_value(byte: usize) -> f32 {
-    let fraction = match byte {
-        0 => 0.0,
-        255 => 1.0,
-        _ => (byte as f32 + 0.5) / 256.0,
-    };
-    (fraction - 0.5) * 8.0
+fn sh_value(byte: u8) -> f32 {
+    match byte {
+        0 => -4.0,
+        255 => 4.0,
+        _ => (f32::from(byte) - 127.5) / 32.0,
+    }
 }
 
 /// The lowest `bits` of `word` as a fraction, 0 to 1.

@@ -26,7 +26,7 @@ use super::sanitize::FileGaussian;
 use super::source::{SplatFile, SplatPart, SplatSource};
 use crate::error::Result;
 use crate::scene::SplatEncoding;
-use crate::scene::sh::coefficient_count;
+use crate::scene::sh::{MAX_COEFFICIENTS, coefficient_count};
 
 pub(super) use container::{GZIP_MAGIC, MAGIC};
 
@@ -45,8 +45,12 @@ struct Spz {
     payload: Vec<u8>,
     /// Where in `payload` each attribute is.
     attributes: [Range<usize>; 6],
+    /// Metres of the lowest bit of a position, with its 24 bits as the highest of 32.
+    position_unit: f64,
     /// What a byte of a scale means.
     standard_deviations: [f64; 256],
+    /// What a byte of a colour means.
+    colours: [f32; 256],
 }
 
 impl Spz {
@@ -59,31 +63,32 @@ impl Spz {
             range
         });
         let standard_deviations = std::array::from_fn(|byte| (byte as f64 / 16.0 - 10.0).exp());
-        Self { header, payload, attributes, standard_deviations }
+        let colours = std::array::from_fn(|byte| ((byte as f64 / 255.0 - 0.5) / 0.15) as f32);
+        let position_unit = (-f64::from(header.fractional_bits) - 8.0).exp2();
+        Self { header, payload, attributes, position_unit, standard_deviations, colours }
     }
 
     /// Everything but the bands from 1 on.
     fn decode(&self, gaussian: &mut FileGaussian, values: [&[u8]; 5]) {
         let [position, opacity, colour, scale, rotation] = values;
-        gaussian.mean = match position {
-            &[x0, x1, x2, y0, y1, y2, z0, z1, z2] => {
+        gaussian.mean = match *position {
+            [x0, x1, x2, y0, y1, y2, z0, z1, z2] => {
                 // The 24 bits stand above 8 of zero, so that the sign is where it belongs.
                 let fixed = |low, middle, high| f64::from(i32::from_le_bytes([0, low, middle, high]));
-                let unit = (-f64::from(self.header.fractional_bits) - 8.0).exp2();
-                DVec3::new(fixed(x0, x1, x2), fixed(y0, y1, y2), fixed(z0, z1, z2)) * unit
+                DVec3::new(fixed(x0, x1, x2), fixed(y0, y1, y2), fixed(z0, z1, z2)) * self.position_unit
             }
-            &[x0, x1, y0, y1, z0, z1] => {
+            [x0, x1, y0, y1, z0, z1] => {
                 let half = |bytes| f64::from(f16::from_le_bytes(bytes));
                 DVec3::new(half([x0, x1]), half([y0, y1]), half([z0, z1]))
             }
             _ => DVec3::NAN,
         };
-        gaussian.rotation = match rotation {
-            &[x, y, z] => {
+        gaussian.rotation = match *rotation {
+            [x, y, z] => {
                 let [x, y, z] = [x, y, z].map(|byte| f64::from(byte) / 127.5 - 1.0);
                 DQuat::from_xyzw(x, y, z, (1.0 - (x * x + y * y + z * z)).max(0.0).sqrt())
             }
-            &[a, b, c, d] => smallest_three(u32::from_le_bytes([a, b, c, d])),
+            [a, b, c, d] => smallest_three(u32::from_le_bytes([a, b, c, d])),
             _ => DQuat::NAN,
         };
         if let &[x, y, z] = scale {
@@ -93,7 +98,7 @@ impl Spz {
         gaussian.opacity = opacity.iter().map(|&byte| f64::from(byte) / 255.0).sum();
         let per_channel = coefficient_count(self.header.sh_degree);
         for (channel, &byte) in gaussian.coefficients.chunks_exact_mut(per_channel).zip(colour) {
-            channel[0] = ((f64::from(byte) / 255.0 - 0.5) / 0.15) as f32;
+            channel[0] = self.colours[usize::from(byte)];
         }
     }
 }
@@ -109,6 +114,7 @@ impl SplatSource for Spz {
 
     fn for_each_in_chunk(&self, chunk: usize, sink: &mut dyn FnMut(&mut FileGaussian)) -> Result<()> {
         let mut gaussian = FileGaussian::default();
+        let mut values = [0.0; 3 * MAX_COEFFICIENTS];
         let sizes = self.header.sizes();
         let per_channel = coefficient_count(self.header.sh_degree);
         for i in chunk * CHUNK..((chunk + 1) * CHUNK).min(self.header.count) {
@@ -117,10 +123,13 @@ impl SplatSource for Spz {
                 &self.payload[start..start + sizes[attribute]]
             });
             self.decode(&mut gaussian, [position, opacity, colour, scale, rotation]);
-            for (k, &[red, green, blue]) in harmonics.as_chunks::<3>().0.iter().enumerate() {
-                for (c, byte) in [red, green, blue].into_iter().enumerate() {
-                    gaussian.coefficients[c * per_channel + 1 + k] = (f32::from(byte) - 128.0) / 128.0;
-                }
+            // All of them first: together they make a loop for vectors.
+            harmonics.iter().zip(&mut values).for_each(|(&byte, value)| *value = (f32::from(byte) - 128.0) / 128.0);
+            let (reds, others) = gaussian.coefficients.split_at_mut(per_channel);
+            let (greens, blues) = others.split_at_mut(per_channel);
+            let channels = reds[1..].iter_mut().zip(&mut greens[1..]).zip(&mut blues[1..per_channel]);
+            for (((red, green), blue), &value) in channels.zip(values.as_chunks::<3>().0) {
+                [*red, *green, *blue] = value;
             }
             sink(&mut gaussian);
         }
