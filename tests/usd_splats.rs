@@ -107,7 +107,8 @@ fn a_prim_with_positions_alone_has_the_schemas_fallbacks() {
 
 #[test]
 fn longer_arrays_are_cut_shorter_ones_ignored_and_float_wins_over_half() {
-    let more = "float[] opacities = [0.5, 0.25]\nfloat3[] scales = []\nquatf[] orientations = [(0, 0, 0, 2), (1, 0, 0, 0)]
+    let more =
+        "float[] opacities = [0.5, 0.25]\nfloat3[] scales = []\nquatf[] orientations = [(0, 0, 0, 2), (1, 0, 0, 0)]
         half[] opacitiesh = [0.125]\nhalf3[] scalesh = [(2, 3, 4)]";
     let (scene, _) = load_text(&stage(&splat("A", 0.0, more))).unwrap();
     assert_eq!((scene.splats.opacities[0], scene.splats.standard_deviations(0)), (0.5, DVec3::ONE));
@@ -150,7 +151,9 @@ fn transform_operations_apply_from_the_last_to_the_first_through_the_hierarchy()
     // A prim that resets the stack stands in the stage's coordinates.
     let reset = "def Xform \"Q\" { uniform token[] xformOpOrder = [\"!resetXformStack!\"]";
     close(
-        &format!("def Xform \"P\" {{ {translate}\nuniform token[] xformOpOrder = [\"xformOp:translate\"]\n{reset}\n{splat} }} }}"),
+        &format!(
+            "def Xform \"P\" {{ {translate}\nuniform token[] xformOpOrder = [\"xformOp:translate\"]\n{reset}\n{splat} }} }}"
+        ),
         [1.0, 0.0, 0.0],
     );
     assert!(message(&under("float3 xformOp:shear = (1, 2, 3)", "\"xformOp:shear\"")).contains("xformOp:shear"));
@@ -217,7 +220,10 @@ fn faults_are_errors_that_name_prim_and_attribute() {
         ("uniform int radiance:sphericalHarmonicsDegree = 9", "degree 9"),
         ("uniform int radiance:sphericalHarmonicsDegree = -1", "degree -1"),
         ("string visibility = \"inherited\"", "visibility"),
-        ("uniform token[] xformOpOrder = [\"xformOp:translate\"]\nstring xformOp:translate = \"x\"", "xformOp:translate"),
+        (
+            "uniform token[] xformOpOrder = [\"xformOp:translate\"]\nstring xformOp:translate = \"x\"",
+            "xformOp:translate",
+        ),
     ] {
         let message = message(&splat("A", 0.0, more));
         assert!(message.contains(words), "'{words}' is not in: {message}");
@@ -228,9 +234,9 @@ fn faults_are_errors_that_name_prim_and_attribute() {
         assert!(message.contains(words), "'{words}' is not in: {message}");
     }
     assert!(load_files(&[("scene.bin", stage("").as_bytes())]).expect_err("name").to_string().contains("rename"));
-    let (_, report) = load_text(&stage(&format!("{}{}", splat("A", 0.0, ""), splat("B", f64::NAN, "")))
-        .replace("NaN", "nan"))
-    .unwrap();
+    let (_, report) =
+        load_text(&stage(&format!("{}{}", splat("A", 0.0, ""), splat("B", f64::NAN, ""))).replace("NaN", "nan"))
+            .unwrap();
     assert_eq!(report.splats[0].dropped.non_finite, 1);
 }
 

@@ -212,7 +212,14 @@ mod tests {
     fn asset(json: Value, buffer: Vec<u8>) -> Asset {
         let root: Root = serde_json::from_value(json).unwrap();
         let path = PathBuf::from("test.gltf");
-        Asset { path, folder: PathBuf::new(), root, local_transforms: Vec::new(), splats: Default::default(), buffers: vec![buffer.into()] }
+        Asset {
+            path,
+            folder: PathBuf::new(),
+            root,
+            local_transforms: Vec::new(),
+            splats: Default::default(),
+            buffers: vec![buffer.into()],
+        }
     }
 
     /// A component type's code, four values as its bytes, and as floats: as they are, and normalised.

@@ -33,8 +33,17 @@ const MIN_PLACED: usize = 1 << 20;
 /// A component type, and whether it is normalised.
 type Component = (ComponentType, bool);
 
-const POSITION_TYPES: &[Component] =
-    &[(F32, false), (I8, false), (I8, true), (U8, false), (U8, true), (I16, false), (I16, true), (U16, false), (U16, true)];
+const POSITION_TYPES: &[Component] = &[
+    (F32, false),
+    (I8, false),
+    (I8, true),
+    (U8, false),
+    (U8, true),
+    (I16, false),
+    (I16, true),
+    (U16, false),
+    (U16, true),
+];
 const ROTATION_TYPES: &[Component] = &[(F32, false), (I8, true), (I16, true)];
 const SCALE_TYPES: &[Component] = &[(F32, false), (U8, false), (U8, true), (U16, false), (U16, true)];
 const OPACITY_TYPES: &[Component] = &[(F32, false), (U8, true), (U16, true)];
@@ -157,7 +166,8 @@ impl SplatSource for PrimitiveSplats {
 
     fn for_each_in_chunk(&self, chunk: usize, sink: &mut dyn FnMut(&mut FileGaussian)) -> Result<()> {
         let per_channel = coefficient_count(self.sh_degree);
-        let (position, rotation, scale) = (self.position.elements(), self.rotation_xyzw.elements(), self.scale.elements());
+        let (position, rotation, scale) =
+            (self.position.elements(), self.rotation_xyzw.elements(), self.scale.elements());
         let opacity = self.opacity.elements();
         let coefficients: Vec<_> = self.coefficients.iter().map(Attribute::elements).collect();
         let mut gaussian = FileGaussian::default();
@@ -187,14 +197,7 @@ struct Attribute<const N: usize> {
 
 impl<const N: usize> Attribute<N> {
     /// The accessor `index` as attribute `name` of the primitive `here`; it must be `kind` of one of the types `accepted`.
-    fn find(
-        asset: &Asset,
-        index: u32,
-        kind: Type,
-        accepted: &[Component],
-        here: &str,
-        name: &str,
-    ) -> Result<Self> {
+    fn find(asset: &Asset, index: u32, kind: Type, accepted: &[Component], here: &str, name: &str) -> Result<Self> {
         let here = format!("{here} {name}");
         let index: Index<Accessor> = Index::new(index);
         let accessor = asset.get(index, &here)?;
@@ -212,8 +215,7 @@ impl<const N: usize> Attribute<N> {
         let bytes = view_bytes(asset, view, &there)?;
         let stride = stride_of(asset, view).unwrap_or(layout.element_bytes());
         let offset = accessor.byte_offset.map_or(0, |offset| offset.0);
-        let range =
-            element_range(asset, bytes.len(), offset, stride, layout.element_bytes(), layout.count, &there)?;
+        let range = element_range(asset, bytes.len(), offset, stride, layout.element_bytes(), layout.count, &there)?;
         let bytes = bytes.part(range).unwrap_or(bytes);
         Ok(Self { layout, stride, bytes })
     }

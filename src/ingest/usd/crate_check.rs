@@ -107,7 +107,10 @@ impl<'a> Crate<'a> {
     /// A count of things that take a byte of the file each, before compression, or a small multiple of it.
     fn justified(&self, count: usize, cursor: &Cursor) -> Result<usize, Fault> {
         if count > self.bytes.len() {
-            return fault(format!("byte {}", cursor.at), format!("{count} entries in a file of {} bytes", self.bytes.len()));
+            return fault(
+                format!("byte {}", cursor.at),
+                format!("{count} entries in a file of {} bytes", self.bytes.len()),
+            );
         }
         Ok(count)
     }

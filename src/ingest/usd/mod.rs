@@ -24,8 +24,9 @@ pub(super) use splats::open_splats;
 /// The reader recurses over composition arcs and namespaces.
 const STACK_BYTES: usize = 256 << 20;
 
-/// So many prims are visited, or one for every 16 bytes of the file: references multiply what a small file holds.
-const MIN_PRIMS: usize = 1 << 14;
+/// So many prims are visited, or one for every 4 bytes of the file, each counted by its depth: references multiply what a
+/// small file holds, and composing a prim takes longer the deeper it stands.
+const MIN_WORK: usize = 1 << 15;
 
 /// Whether a file's bytes are a USD layer, or a package whose first entry is one.
 pub(super) fn is_usd(bytes: &[u8]) -> bool {
@@ -72,7 +73,8 @@ impl<'a> OpenedStage<'a> {
     fn open(path: &'a Path) -> Result<Self> {
         let extension = path.extension().map(|extension| extension.to_ascii_lowercase());
         if !extension.is_some_and(|it| ["usd", "usda", "usdc", "usdz"].iter().any(|known| it == *known)) {
-            let what = "USD in a file of another name; rename it to end with .usd or .usdz, which is how layers are told";
+            let what =
+                "USD in a file of another name; rename it to end with .usd or .usdz, which is how layers are told";
             return Err(Error::unsupported(path, what));
         }
         let name = path.to_str().ok_or_else(|| Error::unsupported(path, "USD with a path that is not UTF-8"))?;
@@ -84,9 +86,8 @@ impl<'a> OpenedStage<'a> {
         if let Some(error) = stage.composition_errors().first() {
             return Err(Error::invalid(path, "stage", error.to_string()));
         }
-        let metadata = |name: &str| {
-            stage.stage_metadata(name).map_err(|error| Error::invalid(path, name, format!("{error:#}")))
-        };
+        let metadata =
+            |name: &str| stage.stage_metadata(name).map_err(|error| Error::invalid(path, name, format!("{error:#}")));
         // Without one a stage is in centimetres (UsdGeomLinearUnits).
         let metres_per_unit = match metadata("metersPerUnit")? {
             None => 0.01,
@@ -110,8 +111,8 @@ impl<'a> OpenedStage<'a> {
         let root = Inherited { file_from_prim: metres, rendered: true };
         let mut pending = vec![(self.stage.prim("/"), root)];
         let bytes = std::fs::metadata(self.path).map_err(|source| Error::read(self.path, source))?.len();
-        let most = usize::try_from(bytes / 16).unwrap_or(usize::MAX).max(MIN_PRIMS);
-        let mut visited = 0;
+        let most = usize::try_from(bytes / 4).unwrap_or(usize::MAX).max(MIN_WORK);
+        let mut work = 0;
         while let Some((parent, inherited)) = pending.pop() {
             let names = self.ask(&parent, parent.child_names())?;
             // The reader recurses without end over paths whose names hold braces.
@@ -120,9 +121,10 @@ impl<'a> OpenedStage<'a> {
             }
             let children = self.ask(&parent, parent.children())?;
             for prim in children.into_iter().rev() {
-                visited += 1;
-                if visited > most {
-                    return Err(Error::unsupported(self.path, format!("more than {most} prims, references counted")));
+                work += prim.path().as_str().matches('/').count();
+                if work > most {
+                    let what = format!("more prims than its size justifies, references counted, at {}", prim.path());
+                    return Err(Error::unsupported(self.path, what));
                 }
                 if let Some(inherited) = self.inherit(&prim, &inherited)? {
                     pending.push((prim, inherited));
@@ -149,7 +151,8 @@ impl<'a> OpenedStage<'a> {
             Some(purpose) => purpose == "default" || purpose == "render",
         };
         let (parent_from_prim, resets) = xform::local(self, prim)?;
-        let from = if resets { DAffine3::from_scale(glam::DVec3::splat(self.metres_per_unit)) } else { parent.file_from_prim };
+        let from =
+            if resets { DAffine3::from_scale(glam::DVec3::splat(self.metres_per_unit)) } else { parent.file_from_prim };
         let file_from_prim = from * parent_from_prim;
         if !file_from_prim.is_finite() {
             return Err(self.invalid(prim, "its transform is not finite"));
@@ -178,7 +181,11 @@ impl<'a> OpenedStage<'a> {
     }
 
     /// `answer` of the reader to a question about `prim`.
-    fn ask<T, E: std::fmt::Debug + std::fmt::Display>(&self, prim: &Prim, answer: std::result::Result<T, E>) -> Result<T> {
+    fn ask<T, E: std::fmt::Debug + std::fmt::Display>(
+        &self,
+        prim: &Prim,
+        answer: std::result::Result<T, E>,
+    ) -> Result<T> {
         answer.map_err(|error| self.invalid(prim, format!("{error:#}")))
     }
 

@@ -45,7 +45,8 @@ pub fn open_splats(path: &Path) -> Result<SplatFile> {
             let particles = Particles::read(stage, prim)?;
             placed = placed.saturating_add(particles.count());
             if placed > most {
-                let what = format!("more than {most} Gaussians from {} on, instances counted; place fewer", prim.path());
+                let what =
+                    format!("more than {most} Gaussians from {} on, instances counted; place fewer", prim.path());
                 return Err(Error::unsupported(path, what));
             }
             if !file_from_prim.matrix3.determinant().is_normal() {
@@ -56,7 +57,8 @@ pub fn open_splats(path: &Path) -> Result<SplatFile> {
             Ok(())
         })?;
         if placed == 0 {
-            let what = "it has no particles of ParticleField3DGaussianSplat prims that are active, visible and rendered";
+            let what =
+                "it has no particles of ParticleField3DGaussianSplat prims that are active, visible and rendered";
             return Err(Error::invalid(path, "stage", what));
         }
         let order = orders.first().copied().flatten().filter(|order| orders.iter().all(|it| *it == Some(*order)));
