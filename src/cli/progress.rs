@@ -27,7 +27,7 @@ struct Bar(ProgressBar);
 
 impl Progress for Bar {
     fn note(&self, text: &str) {
-        self.0.suspend(|| super::status(text.to_owned()));
+        self.0.suspend(|| super::status(text));
     }
 
     fn begin(&self, probes: usize, rays: u64) {
