@@ -17,12 +17,12 @@ use super::container::{Asset, place};
 use super::nodes::{self, Hierarchy};
 use super::primitives::SplatPrimitive;
 use super::resource::{Bytes, view_bytes};
+use crate::Result;
 use crate::ingest::CHUNK;
 use crate::ingest::sanitize::FileGaussian;
 use crate::ingest::source::{SplatFile, SplatPart, SplatSource};
 use crate::job::Frame;
 use crate::scene::sh::coefficient_count;
-use crate::{Error, Result};
 
 /// Highest degree that the extension has attributes for.
 const MAX_DEGREE: u8 = 3;
@@ -52,8 +52,8 @@ const COEFFICIENT_TYPES: &[Component] = &[(F32, false)];
 /// Opens the splats of a scene of the glTF file at `path`: the scene called `scene`, or the default one.
 ///
 /// # Errors
-/// [`Error::Invalid`] when the scene has no splats, or an attribute of one is missing, of a wrong type or cut off;
-/// [`Error::Unsupported`] for kernels, colour spaces and compressions that are not implemented.
+/// [`Invalid`](crate::Error::Invalid) when the scene has no splats, or an attribute of one is missing, of a wrong type or cut off;
+/// [`Unsupported`](crate::Error::Unsupported) for kernels, colour spaces and compressions that are not implemented.
 pub fn open_splats(path: &Path, scene: Option<&str>) -> Result<SplatFile> {
     let asset = Asset::read(path)?;
     let hierarchy = Hierarchy::of_scene(&asset, scene)?;
