@@ -56,7 +56,7 @@ pub(super) trait SplatSource: Send + Sync + fmt::Debug {
 }
 
 /// A source that several parts share.
-impl<T: SplatSource> SplatSource for Arc<T> {
+impl<T: SplatSource + ?Sized> SplatSource for Arc<T> {
     fn count(&self) -> usize {
         (**self).count()
     }

@@ -85,6 +85,9 @@ fn bake_on_these_threads(job: &Job, progress: &dyn Progress, cancel: &AtomicBool
     let surfaces: Box<dyn Surfaces> = match job.surface {
         Surface::Unlit => Box::new(UnlitSurfaces::new(&scene.meshes)),
     };
+    if job.tracer == Tracer::Beam && !scene.splats.linear.is_empty() {
+        progress.note("display-referred and linear splats in one scene: the ray tracer is used instead of the beam");
+    }
     let tracer = tracer(job, order, &scene, &bvh, &*surfaces);
     let output = Output::begin(job, probes.len())?;
     let settings = BakeSettings { face_size: job.face_size, samples: job.samples, distance: job.distance };

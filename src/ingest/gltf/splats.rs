@@ -17,12 +17,12 @@ use super::container::{Asset, place};
 use super::nodes::{self, Hierarchy};
 use super::primitives::SplatPrimitive;
 use super::resource::{Bytes, view_bytes};
+use crate::Result;
 use crate::ingest::CHUNK;
 use crate::ingest::sanitize::FileGaussian;
 use crate::ingest::source::{SplatFile, SplatPart, SplatSource};
 use crate::job::Frame;
 use crate::scene::sh::coefficient_count;
-use crate::{Error, Result};
 
 /// Highest degree that the extension has attributes for.
 const MAX_DEGREE: u8 = 3;
@@ -52,12 +52,12 @@ const COEFFICIENT_TYPES: &[Component] = &[(F32, false)];
 /// Opens the splats of a scene of the glTF file at `path`: the scene called `scene`, or the default one.
 ///
 /// # Errors
-/// [`Error::Invalid`] when the scene has no splats, or an attribute of one is missing, of a wrong type or cut off;
-/// [`Error::Unsupported`] for kernels, colour spaces and compressions that are not implemented.
+/// [`Invalid`](crate::Error::Invalid) when the scene has no splats, or an attribute of one is missing, of a wrong type or cut off;
+/// [`Unsupported`](crate::Error::Unsupported) for kernels, colour spaces and compressions that are not implemented.
 pub fn open_splats(path: &Path, scene: Option<&str>) -> Result<SplatFile> {
     let asset = Asset::read(path)?;
     let hierarchy = Hierarchy::of_scene(&asset, scene)?;
-    let mut opened: BTreeMap<(usize, usize), Arc<PrimitiveSplats>> = BTreeMap::new();
+    let mut opened: BTreeMap<(usize, usize), Arc<dyn SplatSource>> = BTreeMap::new();
     let (mut parts, mut kinds, mut placed) = (Vec::new(), Vec::new(), 0usize);
     let most = asset.buffers.iter().map(|buffer| buffer.len()).fold(MIN_PLACED, usize::saturating_add);
     for &index in &hierarchy.order {
@@ -70,14 +70,14 @@ pub fn open_splats(path: &Path, scene: Option<&str>) -> Result<SplatFile> {
             let source = match opened.get(&key) {
                 Some(source) => source.clone(),
                 None => {
-                    let source = PrimitiveSplats::open(&asset, primitive, format!("/meshes/{}/primitives/{p}", key.0))?;
-                    opened.entry(key).or_insert(Arc::new(source)).clone()
+                    let source = source_of(&asset, primitive, format!("/meshes/{}/primitives/{p}", key.0))?;
+                    opened.entry(key).or_insert(source).clone()
                 }
             };
             kinds.push((primitive.encoding, primitive.order));
             let file_from_node = hierarchy.file_from_node[index.value()].unwrap_or(DAffine3::IDENTITY);
             for node_from_instance in nodes::node_from_instances(&asset, node, &here)? {
-                placed = placed.saturating_add(source.count);
+                placed = placed.saturating_add(source.count());
                 if placed > most {
                     let what = format!("more than {most} Gaussians from {here} on, instances counted; place fewer");
                     return Err(asset.unsupported(what));
@@ -103,6 +103,17 @@ pub fn open_splats(path: &Path, scene: Option<&str>) -> Result<SplatFile> {
     Ok(SplatFile { format: "glTF 2.0 KHR_gaussian_splatting".into(), frame: Frame::RUB, encoding, order, parts })
 }
 
+/// The Gaussians of the splat primitive at `here`.
+fn source_of(asset: &Asset, primitive: &SplatPrimitive, here: String) -> Result<Arc<dyn SplatSource>> {
+    match primitive.compression {
+        None => Ok(Arc::new(PrimitiveSplats::open(asset, primitive, here)?)),
+        Some((name, view)) => {
+            view_bytes(asset, Index::new(view), &here)?;
+            Err(asset.unsupported(format!("{name}, the form of {here}; export it without")))
+        }
+    }
+}
+
 /// A splat primitive whose attributes are all there.
 #[derive(Debug)]
 struct PrimitiveSplats {
@@ -118,9 +129,6 @@ struct PrimitiveSplats {
 
 impl PrimitiveSplats {
     fn open(asset: &Asset, primitive: &SplatPrimitive, here: String) -> Result<Self> {
-        if let Some((name, view)) = primitive.compression {
-            return Err(compressed(asset, name, view, &here));
-        }
         let has = |name: &str| primitive.attributes.contains_key(name);
         let find = |name: &str| {
             let what = || format!("it has no attribute {name}, which splats must have");
@@ -144,14 +152,6 @@ impl PrimitiveSplats {
             return Err(asset.invalid(here, format!("an attribute has not as many elements as POSITION, {count}")));
         }
         Ok(Self { count, position, rotation_xyzw, scale, opacity, sh_degree, coefficients })
-    }
-}
-
-/// Splats whose attributes are the SPZ file in buffer view `view`.
-fn compressed(asset: &Asset, name: &str, view: u32, here: &str) -> Error {
-    match view_bytes(asset, Index::new(view), here) {
-        Ok(_) => asset.unsupported(format!("{name}, the form of {here}; export it without")),
-        Err(error) => error,
     }
 }
 

@@ -127,8 +127,8 @@ impl<'a> Crate<'a> {
         cursor.skip(count, size)
     }
 
-    /// Length of each token.
-    fn tokens(&self) -> Result<Vec<usize>, Fault> {
+    /// Length of each token, and whether it can be an element of a path.
+    fn tokens(&self) -> Result<Vec<(usize, bool)>, Fault> {
         let Some(mut cursor) = self.section("TOKENS")? else { return Ok(Vec::new()) };
         let count = cursor.count()?;
         let size = cursor.count()?;
@@ -136,15 +136,15 @@ impl<'a> Crate<'a> {
             return fault("TOKENS", format!("{size} bytes of tokens in a file of {} bytes", self.bytes.len()));
         }
         let text = cursor.decompress(size)?;
-        let lengths: Vec<usize> = text.split(|&byte| byte == 0).map(<[u8]>::len).collect();
-        if count > lengths.len() {
-            return fault("TOKENS", format!("it promises {count} tokens and has {}", lengths.len()));
+        let tokens: Vec<_> = text.split(|&byte| byte == 0).map(|token| (token.len(), is_path_element(token))).collect();
+        if count > tokens.len() {
+            return fault("TOKENS", format!("it promises {count} tokens and has {}", tokens.len()));
         }
-        Ok(lengths)
+        Ok(tokens)
     }
 
     /// Walks the tree of paths: every entry once, and no more text than the file's size justifies.
-    fn paths(&self, tokens: &[usize]) -> Result<(), Fault> {
+    fn paths(&self, tokens: &[(usize, bool)]) -> Result<(), Fault> {
         let Some(mut cursor) = self.section("PATHS")? else { return Ok(()) };
         let path_count = cursor.count()?;
         self.justified(path_count, &cursor)?;
@@ -166,8 +166,8 @@ impl<'a> Crate<'a> {
                 let token = elements[index].unsigned_abs() as usize;
                 let length = match (index, tokens.get(token)) {
                     (0, _) => 1,
-                    (_, Some(length)) => parent_length + 1 + length,
-                    (_, None) => return fault(here(), format!("token {token} is out of range")),
+                    (_, Some((length, true))) => parent_length + 1 + length,
+                    _ => return fault(here(), format!("token {token} is out of range or no name")),
                 };
                 budget = match budget.checked_sub(length) {
                     Some(budget) if (indices[index] as u32 as usize) < path_count => budget,
@@ -310,6 +310,16 @@ impl<'a> Crate<'a> {
         }
         cursor.skip_ints(count)
     }
+}
+
+/// Whether `token` is a name, or a variant as `{set=selection}`: the reader looks for braces where variants end, and recurses
+/// without end over others.
+fn is_path_element(token: &[u8]) -> bool {
+    let inside = match token {
+        [b'{', inside @ .., b'}'] => inside,
+        name => name,
+    };
+    !token.is_empty() && !inside.iter().any(|byte| matches!(byte, b'{' | b'}' | b'/'))
 }
 
 const STRING: u8 = 10;

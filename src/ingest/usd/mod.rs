@@ -24,8 +24,9 @@ pub(super) use splats::open_splats;
 /// The reader recurses over composition arcs and namespaces.
 const STACK_BYTES: usize = 256 << 20;
 
-/// Most prims that are visited: references multiply what a small file holds.
-const MAX_PRIMS: usize = 1 << 20;
+/// So many prims are visited, or one for every 4 bytes of the file, each counted by its depth: references multiply what a
+/// small file holds, and composing a prim takes longer the deeper it stands.
+const MIN_WORK: usize = 1 << 15;
 
 /// Whether a file's bytes are a USD layer, or a package whose first entry is one.
 pub(super) fn is_usd(bytes: &[u8]) -> bool {
@@ -109,13 +110,21 @@ impl<'a> OpenedStage<'a> {
         let metres = DAffine3::from_scale(glam::DVec3::splat(self.metres_per_unit));
         let root = Inherited { file_from_prim: metres, rendered: true };
         let mut pending = vec![(self.stage.prim("/"), root)];
-        let mut visited = 0;
+        let bytes = std::fs::metadata(self.path).map_err(|source| Error::read(self.path, source))?.len();
+        let most = usize::try_from(bytes / 4).unwrap_or(usize::MAX).max(MIN_WORK);
+        let mut work = 0;
         while let Some((parent, inherited)) = pending.pop() {
+            let names = self.ask(&parent, parent.child_names())?;
+            // The reader recurses without end over paths whose names hold braces.
+            if let Some(name) = names.iter().find(|name| !name.chars().all(|c| c.is_alphanumeric() || c == '_')) {
+                return Err(self.invalid(&parent, format!("'{name}' is no name for a prim")));
+            }
             let children = self.ask(&parent, parent.children())?;
             for prim in children.into_iter().rev() {
-                visited += 1;
-                if visited > MAX_PRIMS {
-                    return Err(Error::unsupported(self.path, format!("more than {MAX_PRIMS} prims")));
+                work += prim.path().as_str().matches('/').count();
+                if work > most {
+                    let what = format!("more prims than its size justifies, references counted, at {}", prim.path());
+                    return Err(Error::unsupported(self.path, what));
                 }
                 if let Some(inherited) = self.inherit(&prim, &inherited)? {
                     pending.push((prim, inherited));

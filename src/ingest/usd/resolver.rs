@@ -125,40 +125,69 @@ fn stored_entry(bytes: &[u8], package: &mut Package, index: usize) -> io::Result
     whole.ok_or_else(|| io::Error::other(format!("'{name}' reaches past the end of the package")))
 }
 
-/// Refuses text whose brackets, outside of strings and comments, are nested deeper than any scene's.
+/// Refuses text whose brackets, outside of strings, paths and comments, are nested deeper than any scene's, and paths with
+/// stray braces, over which the reader loops without end. Tokens end where the reader's lexer ends them.
 fn check_nesting(text: &[u8]) -> io::Result<()> {
     let mut depth = 0usize;
     let mut at = 0;
     while let Some(&byte) = text.get(at) {
+        let mut next = at + 1;
         match byte {
             b'(' | b'[' | b'{' => depth += 1,
             b')' | b']' | b'}' => depth = depth.saturating_sub(1),
-            b'"' | b'\'' => at = string_end(text, at),
-            b'#' => at += text[at..].iter().position(|&byte| byte == b'\n').unwrap_or(text.len()),
+            b'"' | b'\'' | b'@' => next = string_end(text, at),
+            b'#' => next = end_of(text, at, b"\n"),
+            b'<' => {
+                next = end_of(text, at + 1, b">");
+                if !has_whole_variants(&text[at..next]) {
+                    return Err(io::Error::other(format!("byte {at}: a path with stray braces")));
+                }
+            }
             _ => {}
         }
         if depth > MAX_NESTING {
             return Err(io::Error::other(format!("byte {at}: nested deeper than {MAX_NESTING} brackets")));
         }
-        at += 1;
+        at = next;
     }
     Ok(())
 }
 
-/// The last byte of the string that begins at `start`, with one quote or three.
+/// The byte after the string or asset path that begins at `start`, with one mark or three.
 fn string_end(text: &[u8], start: usize) -> usize {
-    let quote = text[start];
-    let triple = text[start..].starts_with(&[quote; 3]);
-    let width = if triple { 3 } else { 1 };
-    let mut at = start + width;
+    let mark = text[start];
+    let triple = [mark; 3];
+    if text[start..].starts_with(&triple) {
+        let end = end_of(text, start + 3, &triple);
+        if text[..end].ends_with(&triple) && end >= start + 6 {
+            return end;
+        }
+    }
+    let mut at = start + 1;
     while let Some(&byte) = text.get(at) {
         match byte {
-            b'\\' => at += 1,
-            b'\n' if !triple => return at,
-            _ if text[at..].starts_with(&[quote; 3][..width]) => return at + width - 1,
+            b'\\' if mark != b'@' => at += 1,
+            _ if byte == mark => return at + 1,
             _ => {}
         }
         at += 1;
     }
     text.len()
+}
+
+/// The byte after the first `mark` from `start` on, or the end of the text.
+fn end_of(text: &[u8], start: usize, mark: &[u8]) -> usize {
+    let found = text.get(start..).and_then(|rest| rest.windows(mark.len()).position(|window| window == mark));
+    found.map_or(text.len(), |position| start + position + mark.len())
+}
+
+/// Whether every brace of a path belongs to a variant, `{set=selection}`.
+fn has_whole_variants(path: &[u8]) -> bool {
+    let mut inside = false;
+    path.iter().all(|byte| match byte {
+        b'{' => !std::mem::replace(&mut inside, true),
+        b'}' => std::mem::replace(&mut inside, false),
+        b'/' => !inside,
+        _ => true,
+    }) && !inside
 }
