@@ -63,6 +63,15 @@ impl Error {
         Self::Invalid { path: path.into(), place: place.into(), what: what.into() }
     }
 
+    /// The same error of data that `outer` of the file wraps: places are within it.
+    pub(crate) fn within(self, outer: &str) -> Self {
+        match self {
+            Self::Invalid { path, place, what } => Self::Invalid { path, place: format!("{outer}: {place}"), what },
+            Self::Unsupported { path, what } => Self::Unsupported { path, what: format!("{outer}: {what}") },
+            other => other,
+        }
+    }
+
     /// A feature of `path` that this program does not have.
     pub fn unsupported(path: impl Into<PathBuf>, what: impl Into<String>) -> Self {
         Self::Unsupported { path: path.into(), what: what.into() }

@@ -8,7 +8,9 @@ use splatprobe::bvh::Bvh;
 use splatprobe::scene::colour::srgb_to_linear;
 use splatprobe::scene::{LinearRgb, Scene, SplatEncoding};
 use splatprobe::trace::ray::RayScratch;
-use splatprobe::trace::{Ray, RayTracer, ReferenceTracer, TraceSettings};
+use splatprobe::trace::{
+    BeamTracer, Face, Level, Radiance, Ray, RayTracer, ReferenceTracer, Tile, TileTracer, TraceSettings,
+};
 
 #[test]
 fn a_linear_gaussian_adds_to_linear_light_and_a_display_one_is_decoded_after_blending() {
@@ -37,7 +39,19 @@ fn a_linear_gaussian_adds_to_linear_light_and_a_display_one_is_decoded_after_ble
     let settings = TraceSettings { t_cutoff: 0.0, ..TraceSettings::default() };
     let reference = ReferenceTracer { scene: &scene, surfaces: &NoSurfaces, settings }.trace(&ray);
     let tracer = RayTracer { scene: &scene, bvh: &bvh, surfaces: &NoSurfaces, settings };
-    for radiance in [reference, tracer.trace(&ray, &mut RayScratch::default())] {
+    // The middle of three texels looks straight ahead.
+    let tile = Tile { face: Face::NegZ, face_size: 3, x: 0, y: 0, width: 3, height: 3 };
+    let beam = |level| {
+        let mut texels = [Radiance::default(); 9];
+        BeamTracer { scene: &scene, bvh: &bvh, surfaces: &NoSurfaces, settings, level }.trace_tile(
+            DVec3::ZERO,
+            &tile,
+            &mut texels,
+        );
+        texels[4]
+    };
+    let singles = [reference, tracer.trace(&ray, &mut RayScratch::default())];
+    for radiance in Level::available().into_iter().map(beam).chain(singles) {
         let found = radiance.to_linear(SplatEncoding::SrgbDisplay, scene.background).0;
         assert!((found - expected).abs().max_element() < 1e-6, "{found} is not {expected}");
     }

@@ -2,12 +2,15 @@
 
 mod common;
 mod gltf_support;
+#[allow(dead_code)]
+mod packed_files;
 
 use std::path::PathBuf;
 
 use common::Random;
-use glam::{DVec3, Vec3};
+use glam::{DQuat, DVec3, Vec3};
 use gltf_support::File;
+use packed_files::{Known, spz};
 use serde_json::{Value, json};
 use splatprobe::Error;
 use splatprobe::ingest::{SceneReport, inspect, load_scene};
@@ -208,17 +211,37 @@ fn faults_are_errors_that_name_what_is_wrong() {
     }
 }
 
+/// Puts SPZ data in the primitive's place of its attributes.
+fn compressed(name: &str, spz: &[u8]) -> File {
+    let mut file = splats();
+    let view = file.view(spz);
+    file.json["extensionsRequired"] = json!([EXTENSION, name]);
+    primitive(&mut file)["extensions"][EXTENSION]["extensions"] = json!({name: {"bufferView": view}});
+    file
+}
+
 #[test]
-fn compressed_splats_are_told_by_their_extension() {
+fn spz_inside_is_left_up_front_and_in_drafts_without_a_kernel_as_it_stands() {
+    let mean = DVec3::new(0.5, 1.25, -2.0);
+    let sh = vec![0.0; 3];
+    let deviations = DVec3::splat(0.125);
+    let spz = spz::file(2, &[Known { mean, rotation: DQuat::IDENTITY, deviations, opacity: 0.8, sh }]);
     for name in ["KHR_gaussian_splatting_compression_spz", "KHR_gaussian_splatting_compression_spz_2"] {
-        let mut file = splats();
-        let view = file.view(b"not SPZ");
-        file.json["extensionsRequired"] = json!([EXTENSION, name]);
-        primitive(&mut file)["extensions"][EXTENSION]["extensions"] = json!({name: {"bufferView": view}});
-        assert!(error(&file).to_string().contains(name), "{}", error(&file));
-        primitive(&mut file)["extensions"][EXTENSION]["extensions"] = json!({name: {"bufferView": 99}});
-        assert!(error(&file).to_string().contains("out of range"));
+        let mut file = compressed(name, &spz);
+        let place = |file: &File| load(file).unwrap().0.splats.means[0];
+        assert_eq!(place(&file), Vec3::new(-0.5, 1.25, 2.0));
+        primitive(&mut file)["extensions"][EXTENSION].as_object_mut().unwrap().remove("kernel");
+        assert_eq!(place(&file), Vec3::new(0.5, 1.25, -2.0));
     }
+}
+
+#[test]
+fn broken_spz_inside_is_an_error_that_tells_what_it_was() {
+    let name = "KHR_gaussian_splatting_compression_spz_2";
+    let mut file = compressed(name, b"not SPZ, whatever it may be");
+    assert!(error(&file).to_string().contains(name), "{}", error(&file));
+    primitive(&mut file)["extensions"][EXTENSION]["extensions"] = json!({name: {"bufferView": 99}});
+    assert!(error(&file).to_string().contains("out of range"));
 }
 
 #[test]

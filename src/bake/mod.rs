@@ -102,9 +102,6 @@ pub struct DistanceStatistics {
 
 /// Hears how a bake goes. Called from any thread, in any order between `begin` and `finish`.
 pub trait Progress: Sync {
-    /// Something the user should know about a bake that is about to begin.
-    fn note(&self, _text: &str) {}
-
     /// A bake of `probes` probes and `rays` rays in all begins.
     fn begin(&self, probes: usize, rays: u64);
 

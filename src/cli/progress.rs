@@ -16,8 +16,8 @@ const INTERVAL: Duration = Duration::from_secs(1);
 pub fn reporter(style: ProgressStyle) -> Box<dyn Progress> {
     match style {
         ProgressStyle::Auto if std::io::stderr().is_terminal() => Box::new(Bar(ProgressBar::no_length())),
-        ProgressStyle::Auto | ProgressStyle::Plain => Box::new(Lines::new(plain, str::to_owned)),
-        ProgressStyle::Json => Box::new(Lines::new(json, json_note)),
+        ProgressStyle::Auto | ProgressStyle::Plain => Box::new(Lines::new(plain)),
+        ProgressStyle::Json => Box::new(Lines::new(json)),
         ProgressStyle::None => Box::new(Silent),
     }
 }
@@ -26,10 +26,6 @@ pub fn reporter(style: ProgressStyle) -> Box<dyn Progress> {
 struct Bar(ProgressBar);
 
 impl Progress for Bar {
-    fn note(&self, text: &str) {
-        self.0.suspend(|| super::status(text));
-    }
-
     fn begin(&self, probes: usize, rays: u64) {
         let template = "{msg} {wide_bar} {percent}% {human_pos} rays, {per_sec}, {eta} left";
         self.0.set_style(BarStyle::with_template(template).unwrap_or_else(|_| BarStyle::default_bar()));
@@ -51,7 +47,6 @@ impl Progress for Bar {
 /// A line when the bake begins, every [`INTERVAL`] and when it ends, made by `format`.
 struct Lines {
     format: fn(Event, &Meter) -> String,
-    note: fn(&str) -> String,
     meter: Mutex<Meter>,
 }
 
@@ -74,10 +69,10 @@ struct Meter {
 }
 
 impl Lines {
-    fn new(format: fn(Event, &Meter) -> String, note: fn(&str) -> String) -> Self {
+    fn new(format: fn(Event, &Meter) -> String) -> Self {
         let now = Instant::now();
         let meter = Meter { probes: 0, rays: 0, probes_done: 0, rays_done: 0, begun: now, reported: now };
-        Self { format, note, meter: Mutex::new(meter) }
+        Self { format, meter: Mutex::new(meter) }
     }
 
     fn update(&self, event: Event, change: impl FnOnce(&mut Meter)) {
@@ -92,10 +87,6 @@ impl Lines {
 }
 
 impl Progress for Lines {
-    fn note(&self, text: &str) {
-        super::status((self.note)(text));
-    }
-
     fn begin(&self, probes: usize, rays: u64) {
         self.update(Event::Begin, |meter| (meter.probes, meter.rays, meter.begun) = (probes, rays, Instant::now()));
     }
@@ -141,10 +132,6 @@ fn json(event: Event, meter: &Meter) -> String {
         "seconds": meter.begun.elapsed().as_secs_f64(),
     })
     .to_string()
-}
-
-fn json_note(text: &str) -> String {
-    json!({"event": "note", "text": text}).to_string()
 }
 
 #[cfg(test)]

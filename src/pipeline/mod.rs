@@ -85,9 +85,6 @@ fn bake_on_these_threads(job: &Job, progress: &dyn Progress, cancel: &AtomicBool
     let surfaces: Box<dyn Surfaces> = match job.surface {
         Surface::Unlit => Box::new(UnlitSurfaces::new(&scene.meshes)),
     };
-    if job.tracer == Tracer::Beam && !scene.splats.linear.is_empty() {
-        progress.note("display-referred and linear splats in one scene: the ray tracer is used instead of the beam");
-    }
     let tracer = tracer(job, order, &scene, &bvh, &*surfaces);
     let output = Output::begin(job, probes.len())?;
     let settings = BakeSettings { face_size: job.face_size, samples: job.samples, distance: job.distance };
@@ -143,8 +140,6 @@ fn tracer<'a>(
 ) -> Box<dyn TileTracer + 'a> {
     let settings = TraceSettings { order, sh_direction: job.sh_direction, t_cutoff: job.t_cutoff, t_near: job.t_near };
     match job.tracer {
-        // The beam keeps one sum for all Gaussians; linear ones beside display ones need two.
-        Tracer::Beam if !scene.splats.linear.is_empty() => Box::new(RayTracer { scene, bvh, surfaces, settings }),
         Tracer::Beam => Box::new(BeamTracer { scene, bvh, surfaces, settings, level: Level::best() }),
         Tracer::Ray => Box::new(RayTracer { scene, bvh, surfaces, settings }),
         Tracer::Reference => Box::new(ReferenceTracer { scene, surfaces, settings }),

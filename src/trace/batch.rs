@@ -61,8 +61,8 @@ impl Batch {
             self.mean_from_origin[axis].0[lane] = mean_from_origin[axis];
         }
         let unit_from_world = splats.unit_from_world[i].to_cols_array();
-        for entry in 0..9 {
-            self.unit_from_world[entry].0[lane] = f64::from(unit_from_world[entry]);
+        for (lanes, entry) in self.unit_from_world.iter_mut().zip(unit_from_world) {
+            lanes.0[lane] = f64::from(entry);
         }
         self.opacity.0[lane] = f64::from(splats.opacities[i]);
         self.index[lane] = index;

@@ -33,6 +33,8 @@ pub struct SplatPrimitive {
     pub order: Option<Order>,
     /// Name and buffer view of the extension that holds the attributes instead.
     pub compression: Option<(&'static str, u32)>,
+    /// Whether the extension names its kernel, as every version but the first drafts demands.
+    pub names_kernel: bool,
 }
 
 impl SplatPrimitives {
@@ -114,6 +116,7 @@ impl SplatPrimitive {
             let view = compression.get("bufferView").unwrap_or(&Value::Null);
             Ok((name, index(view, format!("{inside}/extensions/{name}/bufferView"))?))
         });
-        Ok(Self { attributes, encoding, order, compression: compression.transpose()? })
+        let names_kernel = extension.get("kernel").is_some();
+        Ok(Self { attributes, encoding, order, compression: compression.transpose()?, names_kernel })
     }
 }

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
-use glam::{DAffine3, DQuat, DVec3};
+use glam::{DAffine3, DMat3, DQuat, DVec3};
 use gltf::json::accessor::ComponentType::{self, F32, I8, I16, U8, U16};
 use gltf::json::accessor::Type;
 use gltf::json::{Accessor, Index};
@@ -21,6 +21,7 @@ use crate::Result;
 use crate::ingest::CHUNK;
 use crate::ingest::sanitize::FileGaussian;
 use crate::ingest::source::{SplatFile, SplatPart, SplatSource};
+use crate::ingest::spz;
 use crate::job::Frame;
 use crate::scene::sh::coefficient_count;
 
@@ -57,7 +58,7 @@ const COEFFICIENT_TYPES: &[Component] = &[(F32, false)];
 pub fn open_splats(path: &Path, scene: Option<&str>) -> Result<SplatFile> {
     let asset = Asset::read(path)?;
     let hierarchy = Hierarchy::of_scene(&asset, scene)?;
-    let mut opened: BTreeMap<(usize, usize), Arc<dyn SplatSource>> = BTreeMap::new();
+    let mut opened: BTreeMap<(usize, usize), PrimitiveSource> = BTreeMap::new();
     let (mut parts, mut kinds, mut placed) = (Vec::new(), Vec::new(), 0usize);
     let most = asset.buffers.iter().map(|buffer| buffer.len()).fold(MIN_PLACED, usize::saturating_add);
     for &index in &hierarchy.order {
@@ -67,8 +68,8 @@ pub fn open_splats(path: &Path, scene: Option<&str>) -> Result<SplatFile> {
         for p in 0..asset.get(mesh, &here)?.primitives.len() {
             let Some(primitive) = asset.splats.get(mesh.value(), p) else { continue };
             let key = (mesh.value(), p);
-            let source = match opened.get(&key) {
-                Some(source) => source.clone(),
+            let opened = match opened.get(&key) {
+                Some(opened) => opened.clone(),
                 None => {
                     let source = source_of(&asset, primitive, format!("/meshes/{}/primitives/{p}", key.0))?;
                     opened.entry(key).or_insert(source).clone()
@@ -77,7 +78,7 @@ pub fn open_splats(path: &Path, scene: Option<&str>) -> Result<SplatFile> {
             kinds.push((primitive.encoding, primitive.order));
             let file_from_node = hierarchy.file_from_node[index.value()].unwrap_or(DAffine3::IDENTITY);
             for node_from_instance in nodes::node_from_instances(&asset, node, &here)? {
-                placed = placed.saturating_add(source.count());
+                placed = placed.saturating_add(opened.source.count());
                 if placed > most {
                     let what = format!("more than {most} Gaussians from {here} on, instances counted; place fewer");
                     return Err(asset.unsupported(what));
@@ -86,7 +87,8 @@ pub fn open_splats(path: &Path, scene: Option<&str>) -> Result<SplatFile> {
                 if !file_from_part.matrix3.determinant().is_normal() {
                     return Err(asset.invalid(here, "it flattens its splats: a scale factor is 0 or out of range"));
                 }
-                parts.push(SplatPart { file_from_part, source: Box::new(source.clone()) });
+                let file_from_part = file_from_part * DAffine3::from_mat3(opened.primitive_from_source);
+                parts.push(SplatPart { file_from_part, source: Box::new(opened.source.clone()) });
             }
         }
     }
@@ -103,15 +105,28 @@ pub fn open_splats(path: &Path, scene: Option<&str>) -> Result<SplatFile> {
     Ok(SplatFile { format: "glTF 2.0 KHR_gaussian_splatting".into(), frame: Frame::RUB, encoding, order, parts })
 }
 
+/// The Gaussians of a primitive, and how they stand in it.
+#[derive(Clone)]
+struct PrimitiveSource {
+    source: Arc<dyn SplatSource>,
+    primitive_from_source: DMat3,
+}
+
 /// The Gaussians of the splat primitive at `here`.
-fn source_of(asset: &Asset, primitive: &SplatPrimitive, here: String) -> Result<Arc<dyn SplatSource>> {
-    match primitive.compression {
-        None => Ok(Arc::new(PrimitiveSplats::open(asset, primitive, here)?)),
-        Some((name, view)) => {
-            view_bytes(asset, Index::new(view), &here)?;
-            Err(asset.unsupported(format!("{name}, the form of {here}; export it without")))
-        }
-    }
+///
+/// SPZ inside glTF is to be unpacked to left-up-front, a half turn about y from the right-up-back that SPZ stores by
+/// default; writers of the first drafts (which name no kernel) left it as it was, and their readers do so still.
+fn source_of(asset: &Asset, primitive: &SplatPrimitive, here: String) -> Result<PrimitiveSource> {
+    let Some((extension, view)) = primitive.compression else {
+        let source = Arc::new(PrimitiveSplats::open(asset, primitive, here)?);
+        return Ok(PrimitiveSource { source, primitive_from_source: DMat3::IDENTITY });
+    };
+    let bytes = view_bytes(asset, Index::new(view), &here)?;
+    let opened = spz::open_wrapped(&asset.path, &bytes);
+    let (frame, source) = opened.map_err(|error| error.within(&format!("{here}, {extension}")))?;
+    let half_turn = DMat3::from_diagonal(DVec3::new(-1.0, 1.0, -1.0));
+    let turn = if primitive.names_kernel { half_turn } else { DMat3::IDENTITY };
+    Ok(PrimitiveSource { source, primitive_from_source: turn * frame.canonical_from_file() })
 }
 
 /// A splat primitive whose attributes are all there.

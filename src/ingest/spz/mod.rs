@@ -15,6 +15,7 @@ mod container;
 
 use std::ops::Range;
 use std::path::Path;
+use std::sync::Arc;
 
 use glam::{DQuat, DVec3};
 use half::f16;
@@ -25,6 +26,7 @@ use super::CHUNK;
 use super::sanitize::FileGaussian;
 use super::source::{SplatFile, SplatPart, SplatSource};
 use crate::error::Result;
+use crate::job::Frame;
 use crate::scene::SplatEncoding;
 use crate::scene::sh::{MAX_COEFFICIENTS, coefficient_count};
 
@@ -36,6 +38,13 @@ pub(super) fn open(path: &Path, bytes: Mmap) -> Result<SplatFile> {
     let Container { header, format, frame, payload } = Container::open(path, &bytes)?;
     let parts = SplatPart::whole(Spz::new(header, payload));
     Ok(SplatFile { format, frame, encoding: SplatEncoding::SrgbDisplay, order: None, parts })
+}
+
+/// Opens SPZ data that another file wraps, and tells the frame that it declares. Errors as in [`Container::open`]; they
+/// name `path`, the file around it.
+pub(super) fn open_wrapped(path: &Path, bytes: &[u8]) -> Result<(Frame, Arc<dyn SplatSource>)> {
+    let Container { header, frame, payload, .. } = Container::open(path, bytes)?;
+    Ok((frame, Arc::new(Spz::new(header, payload))))
 }
 
 /// Decompressed attributes, still quantised.

@@ -392,29 +392,25 @@ impl<const N: usize> Block<N> {
             add_weighted(simd, &mut self.depth_sum, v, weight, entry.depth.get::<S>(v));
             match entry.colour {
                 Colour::Splat(colour) => {
-                    for channel in 0..3 {
-                        let value = simd.splat_f32s(colour[channel]);
-                        add_weighted(simd, &mut self.splat_sum[channel], v, weight, value);
+                    for (sum, value) in self.splat_sum.iter_mut().zip(colour) {
+                        add_weighted(simd, sum, v, weight, simd.splat_f32s(value));
                     }
                     add_weighted(simd, &mut self.splat_weight, v, weight, simd.splat_f32s(1.0));
                 }
                 Colour::SplatLanes(colours) => {
-                    for channel in 0..3 {
-                        let value = lane_colours[colours as usize][channel].get::<S>(v);
-                        add_weighted(simd, &mut self.splat_sum[channel], v, weight, value);
+                    for (sum, value) in self.splat_sum.iter_mut().zip(&lane_colours[colours as usize]) {
+                        add_weighted(simd, sum, v, weight, value.get::<S>(v));
                     }
                     add_weighted(simd, &mut self.splat_weight, v, weight, simd.splat_f32s(1.0));
                 }
                 Colour::Linear(colour) => {
-                    for channel in 0..3 {
-                        let value = simd.splat_f32s(colour[channel]);
-                        add_weighted(simd, &mut self.surface_sum[channel], v, weight, value);
+                    for (sum, value) in self.surface_sum.iter_mut().zip(colour) {
+                        add_weighted(simd, sum, v, weight, simd.splat_f32s(value));
                     }
                 }
                 Colour::LinearLanes(colours) => {
-                    for channel in 0..3 {
-                        let value = lane_colours[colours as usize][channel].get::<S>(v);
-                        add_weighted(simd, &mut self.surface_sum[channel], v, weight, value);
+                    for (sum, value) in self.surface_sum.iter_mut().zip(&lane_colours[colours as usize]) {
+                        add_weighted(simd, sum, v, weight, value.get::<S>(v));
                     }
                 }
             }

@@ -154,9 +154,8 @@ impl Projection {
                 let (world, sign) = self.axes.0[axis];
                 let sign = simd.splat_f64s(sign);
                 mean[axis] = simd.mul_f64s(self.batch.mean_from_origin[world].get::<S>(v), sign);
-                for row in 0..3 {
-                    let entry = self.batch.unit_from_world[3 * world + row].get::<S>(v);
-                    columns[axis][row] = simd.mul_f64s(entry, sign);
+                for (row, entry) in columns[axis].iter_mut().enumerate() {
+                    *entry = simd.mul_f64s(self.batch.unit_from_world[3 * world + row].get::<S>(v), sign);
                 }
             }
             let [right, down, look] = columns;
@@ -344,8 +343,8 @@ fn image_bounds<S: Simd>(
 ) -> ImageBounds<S> {
     let zero = simd.splat_f64s(0.0);
     let [mut xx, mut xz, mut yy, mut yz, mut zz] = [zero; 5];
-    for row in 0..3 {
-        let [x, y, z] = [columns[0][row], columns[1][row], columns[2][row]];
+    let [right, down, look] = columns;
+    for ((x, y), z) in right.into_iter().zip(down).zip(look) {
         let axis = scaled(simd, [x, y, z], simd.div_f64s(simd.splat_f64s(1.0), dot(simd, [x, y, z], [x, y, z])));
         xx = simd.mul_add_e_f64s(axis[0], axis[0], xx);
         xz = simd.mul_add_e_f64s(axis[0], axis[2], xz);

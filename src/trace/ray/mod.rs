@@ -201,10 +201,8 @@ impl RayTracer<'_> {
         let end = event(end, 0, 0);
         let mut waiting = 0;
         for i in 0..scratch.events.len() {
-            let event = scratch.events[i];
-            scratch.events[i] = scratch.events[waiting];
-            scratch.events[waiting] = event;
-            waiting += usize::from(event >= end);
+            scratch.events.swap(i, waiting);
+            waiting += usize::from(scratch.events[waiting] >= end);
         }
         scratch.events[waiting..].sort_unstable();
         let cutoff = f64::from(self.settings.t_cutoff);
