@@ -41,10 +41,16 @@ fn main() {
     let mut scene = load(&arguments);
     println!("scene: {} Gaussians, SH {}, {:.2} s to load", scene.splats.len(), scene.splats.sh_degree, seconds(start));
     reset_peak_memory();
+    let before = peak_memory();
     let start = Instant::now();
     let bvh = Bvh::build(&mut scene);
     println!("tree: {} nodes, {:.2} s to build", bvh.nodes.len(), seconds(start));
-    println!("peak memory of the build: {:.0} bytes per Gaussian", peak_memory() / scene.splats.len() as f64);
+    let per_gaussian = |bytes: f64| bytes / scene.splats.len() as f64;
+    println!(
+        "memory: {:.0} bytes per Gaussian before the build, at most {:.0} in it",
+        per_gaussian(before),
+        per_gaussian(peak_memory())
+    );
     let probe = arguments.probe.unwrap_or(DVec3::new(1.5 * ROOM.x, 1.6, 1.5 * ROOM.z)) - scene.origin;
     println!("level {}, {} cores, probe {probe}", Level::best().name(), arguments.threads);
     println!("| case | seconds | Mrays/s | on one core | RMS | max | over 1e-3 |");

@@ -180,7 +180,7 @@ fn widen(scene: &Scene, clusters: &[Cluster]) -> Vec<WideNode> {
             nodes[target].set(lane, child_box, child);
         }
     }
-    nodes.shrink_to_fit();
+    // Not shrunk: that would copy, and capacity that was never touched takes no memory.
     nodes
 }
 

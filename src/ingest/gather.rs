@@ -71,9 +71,10 @@ impl Gathering {
         Gathered { range: self.filled..self.filled, dropped: Dropped::default(), sh_degree_used: 0 }
     }
 
-    /// Decodes all of `source`, drops what cannot be used or is not asked for, and keeps the rest in file order, relative to `origin`.
+    /// Decodes all of `source`, drops what cannot be used or is not asked for, and keeps the rest, relative to `origin`.
     ///
-    /// Each chunk fills its own slots from the front; afterwards the chunks are moved together, in place.
+    /// Each chunk fills its own slots from the front; afterwards the last Gaussians move to where others were dropped, so
+    /// that no more move than that. Within a chunk, file order is kept.
     pub fn append(
         &mut self,
         source: &dyn SplatSource,
@@ -111,23 +112,42 @@ impl Gathering {
 
         let mut dropped = Dropped::default();
         let mut sh_degree_used = 0;
+        let mut kept = Vec::with_capacity(outcomes.len());
         // In file order, so that the first error in the file is the one that is told.
         for (chunk, outcome) in outcomes.into_iter().enumerate() {
             let outcome = outcome?;
-            self.move_to_front(first + chunk * CHUNK, outcome.kept);
+            let start = first + chunk * CHUNK;
+            kept.push(start..start + outcome.kept);
             dropped += outcome.dropped;
             sh_degree_used = sh_degree_used.max(outcome.sh_degree_used);
         }
+        self.close_gaps(first, &kept);
         Ok(Gathered { range: first..self.filled, dropped, sh_degree_used })
     }
 
-    /// Moves `count` Gaussians from `start` to the end of the filled part.
-    fn move_to_front(&mut self, start: usize, count: usize) {
-        let (from, to) = (start..start + count, self.filled);
-        self.filled += count;
-        if from.start == to {
-            return;
+    /// Makes the Gaussians in the slots `kept`, which lie in chunks from `first` on, one run from `first` on.
+    fn close_gaps(&mut self, first: usize, kept: &[Range<usize>]) {
+        self.filled = first + kept.iter().map(Range::len).sum::<usize>();
+        let mut last = kept.iter().cloned().rev();
+        let mut surplus = 0..0;
+        for (chunk, kept) in kept.iter().enumerate() {
+            let mut gap = kept.end..(first + (chunk + 1) * CHUNK).min(self.filled);
+            while gap.start < gap.end {
+                if surplus.is_empty() {
+                    // There is as much behind the end as is missing before it.
+                    let Some(next) = last.next() else { return };
+                    surplus = next.start.max(self.filled)..next.end;
+                    continue;
+                }
+                let count = surplus.len().min(gap.len());
+                self.move_within(surplus.end - count..surplus.end, gap.start);
+                surplus.end -= count;
+                gap.start += count;
+            }
         }
+    }
+
+    fn move_within(&mut self, from: Range<usize>, to: usize) {
         let stride = self.splats.sh_stride();
         self.splats.means.copy_within(from.clone(), to);
         self.splats.unit_from_world.copy_within(from.clone(), to);
@@ -171,5 +191,27 @@ impl ChunkOutcome {
         let unused_so_far = self.sh_degree_used + 1..=degrees.file;
         self.sh_degree_used = unused_so_far.rev().find(|&l| uses(l.into())).unwrap_or(self.sh_degree_used);
         self.kept += 1;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn closing_gaps_keeps_every_gaussian_once_and_moves_no_more_than_were_dropped() {
+        for kept in [[CHUNK, CHUNK, CHUNK], [CHUNK, 0, 10], [CHUNK - 3, 5, 7], [0, 0, 1], [0, 0, 0], [1, CHUNK, 0]] {
+            let mut gathering = Gathering::new(3 * CHUNK, 0);
+            gathering.splats.opacities.iter_mut().enumerate().for_each(|(i, opacity)| *opacity = i as f32);
+            let ranges = [0, 1, 2].map(|chunk| chunk * CHUNK..chunk * CHUNK + kept[chunk]);
+            gathering.close_gaps(0, &ranges);
+            let total: usize = kept.iter().sum();
+            assert_eq!(gathering.filled, total);
+            let mut found: Vec<usize> = gathering.splats.opacities[..total].iter().map(|&i| i as usize).collect();
+            let moved = found.iter().enumerate().filter(|&(slot, &i)| slot != i).count();
+            assert!(moved <= 3 * CHUNK - total, "{kept:?}: {moved}");
+            found.sort_unstable();
+            assert_eq!(found, ranges.into_iter().flatten().collect::<Vec<_>>(), "{kept:?}");
+        }
     }
 }
