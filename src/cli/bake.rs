@@ -98,7 +98,7 @@ pub struct Bake {
     #[arg(long, value_name = "N", help_heading = "Tracing")]
     samples: Option<u32>,
     /// Widen Gaussians so that fine ones do not alias: none, pixel, or train:PX as 3DGS trains at that focal length
-    /// [default: pixel].
+    /// [default: none].
     #[arg(long, value_name = "FILTER", help_heading = "Tracing")]
     footprint: Option<Footprint>,
     /// Blending order along a ray [default: what the splat files ask for where they agree, else rayHitDistance].

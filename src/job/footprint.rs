@@ -8,10 +8,10 @@ use serde::{Deserialize, Serialize};
 #[serde(try_from = "String", into = "String")]
 #[schemars(with = "String", extend("pattern" = r"^(none|pixel|train:[0-9]*\.?[0-9]+([eE][+-]?[0-9]+)?)$"))]
 pub enum Footprint {
-    /// Not at all: each ray is a line.
-    None,
-    /// By a share of a pixel, with what each sends kept. The default.
+    /// Not at all: each ray is a line. The default.
     #[default]
+    None,
+    /// By a share of a pixel, with what each sends kept.
     Pixel,
     /// As 3DGS widens them while it trains on images of this focal length in pixels, with their opacity kept.
     Train(f64),

@@ -145,7 +145,7 @@ pub struct Job {
     pub samples: u32,
     /// How Gaussians are widened so that fine ones do not alias: `none`; `pixel`, to what a ray of the bake stands for, with
     /// the light of each kept; `train:` and a focal length in pixels, at least 1, as 3DGS does while it trains on images of
-    /// that focal length. Default: pixel.
+    /// that focal length. Default: none.
     pub footprint: Footprint,
     /// Blending order along a ray. Default: what the splat files ask for where they agree, else rayHitDistance.
     #[serde(skip_serializing_if = "Option::is_none")]
