@@ -185,7 +185,7 @@ fn the_tracers_agree_on_three_scenes_under_both_footprints() {
             let ray = RayTracer { scene, bvh: &bvh, surfaces, settings };
             let beam = BeamTracer { scene, bvh: &bvh, surfaces, settings, level: Level::best() };
             let truth = ReferenceTracer { scene, surfaces, settings };
-            let tiles = random_texels(64, 800);
+            let tiles = random_texels(64, 400);
             assert_same(&format!("{name}, ray"), scene, [&ray, &truth], settings, (origin, &tiles), rms);
             assert_same(&format!("{name}, beam"), scene, [&beam, &truth], settings, (origin, &tiles), rms);
         }

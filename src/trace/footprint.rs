@@ -12,7 +12,8 @@ use super::batch::{BATCH, Batch, dot, scaled};
 use crate::job;
 
 /// Standard deviation of `pixel`, in edges of a texel: close to that of a square's area, `1 / sqrt(12)` = 0.29. Measured by
-/// `benches/footprint.rs`, the best of 0.2 to 0.6 at faces of 32 to 256; 0.2 and 0.4 err a third more.
+/// `benches/footprint.rs`: on the generated interior and on captured scenes the best of 0.2 to 0.6 at faces of 64 to 256,
+/// and within a tenth of it at 32; in the interior, 0.2 and 0.4 err a third more.
 pub const PIXEL_SIGMA: f64 = 0.3;
 
 /// Variance that 3DGS adds to every Gaussian's image when it trains, in square pixels.
