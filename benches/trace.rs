@@ -17,11 +17,11 @@ use rayon::prelude::*;
 use splatprobe::bvh::Bvh;
 use splatprobe::generate::{InteriorSettings, ROOM, interior};
 use splatprobe::ingest;
-use splatprobe::job::{Order, SplatInput};
+use splatprobe::job::{self, Order, SplatInput};
 use splatprobe::scene::{Scene, colour};
 use splatprobe::shade::UnlitSurfaces;
 use splatprobe::trace::{
-    BeamTracer, Face, Level, Radiance, Ray, RayTracer, ReferenceTracer, Tile, TileTracer, TraceSettings,
+    BeamTracer, Face, Footprint, Level, Radiance, Ray, RayTracer, ReferenceTracer, Tile, TileTracer, TraceSettings,
 };
 
 struct Arguments {
@@ -60,7 +60,8 @@ fn main() {
     }
 }
 
-/// A case's name is `tracer-size`, then `-camera` for cameraDistance and `-avx2` or `-scalar` for a lower level.
+/// A case's name is `tracer-size`, then `-camera` for cameraDistance, `-pixel` for the footprint
+/// filter, and `-avx2` or `-scalar` for a lower level.
 fn measure(scene: &Scene, bvh: &Bvh, probe: DVec3, case: &str, arguments: &Arguments) {
     let mut words = case.split('-');
     let (tracer, size) = (words.next().unwrap_or(""), words.next().and_then(|s| s.parse().ok()).unwrap_or(256));
@@ -69,6 +70,7 @@ fn measure(scene: &Scene, bvh: &Bvh, probe: DVec3, case: &str, arguments: &Argum
     for word in words {
         match word {
             "camera" => settings.order = Order::CameraDistance,
+            "pixel" => settings.footprint = Footprint::new(job::Footprint::Pixel, size),
             name => {
                 let named = |l: &Level| l.name().to_lowercase() == name;
                 level = Level::available().into_iter().find(named).unwrap_or(level);

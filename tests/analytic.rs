@@ -13,7 +13,7 @@ use serde_json::json;
 use splatprobe::bake::Silent;
 use splatprobe::bvh::Bvh;
 use splatprobe::encode::exr::{Image, read_exr};
-use splatprobe::job::{Frame, Job, MeshInput, Pixel, Placement, SplatInput, Tracer, Transform};
+use splatprobe::job::{Footprint, Frame, Job, MeshInput, Pixel, Placement, SplatInput, Tracer, Transform};
 use splatprobe::pipeline;
 use splatprobe::scene::{Scene, colour};
 use splatprobe::trace::{
@@ -49,7 +49,7 @@ fn write_ply(folder: &Path, rows: &[Row]) -> SplatInput {
     SplatInput { frame: Some(Frame::RUB), ..SplatInput::new(path) }
 }
 
-/// Bakes one probe with distance, in floats, and reads its image back.
+/// Bakes one probe with distance, in floats, Gaussians as they are, and reads its image back.
 fn bake(job: &Job, folder: &Path, probe: DVec3, face_size: u32, tracer: Tracer) -> Image {
     let output = folder.join("out");
     let placement = Placement { probes: vec![probe.to_array()], ..Placement::default() };
@@ -60,6 +60,7 @@ fn bake(job: &Job, folder: &Path, probe: DVec3, face_size: u32, tracer: Tracer) 
         tracer,
         pixel: Pixel::Float,
         distance: true,
+        footprint: Footprint::None,
         ..job.clone()
     };
     pipeline::bake(&job, &Silent, &AtomicBool::new(false)).unwrap();

@@ -34,7 +34,7 @@ fn a_job_with_every_field_is_valid_by_the_schema_and_a_wrong_one_is_not() {
         "meshes": [{"path": "chair.glb", "transform": {"rotation": [0, 1, 0, 0], "scale": [2, 2, 2]}, "scene": "Main"}],
         "output": "out",
         "placement": {"bounds": [-4, 0, -4, 4, 3, 4], "grid": [3, 1, 3], "probes": [], "overlap": 0.1},
-        "faceSize": 256, "samples": 1, "order": "rayHitDistance", "shDirection": "mean", "tCutoff": 0.001, "tNear": 0,
+        "faceSize": 256, "samples": 1, "footprint": "train:812.5", "order": "rayHitDistance", "shDirection": "mean", "tCutoff": 0.001, "tNear": 0,
         "surface": "unlit", "tracer": "ray", "pixel": "half", "distance": true, "background": [0, 0, 0],
         "threads": 2, "progress": "plain", "stats": "stats.json"
     });
@@ -44,6 +44,7 @@ fn a_job_with_every_field_is_valid_by_the_schema_and_a_wrong_one_is_not() {
     let wrong = [
         ("faceSize", json!(0)),
         ("faceSize", json!(8193)),
+        ("footprint", json!("train")),
         ("tCutoff", json!(1)),
         ("background", json!([0, 0, -1])),
         ("tracer", json!("guess")),

@@ -129,4 +129,26 @@ impl Viewpoint {
         }
         squared.map(f32::sqrt)
     }
+
+    /// The node with each box grown on all sides by `share` of the distance to its farthest point, good to a few roundings.
+    /// Where there is no child, there still is none.
+    pub fn grown(&self, node: &WideNode, share: f32) -> WideNode {
+        let mut squared = [0.0f32; WIDTH];
+        for axis in 0..3 {
+            for (lane, squared) in squared.iter_mut().enumerate() {
+                let farthest = (node.max[axis][lane] - self.low[axis]).max(self.high[axis] - node.min[axis][lane]);
+                // Negative infinity for an absent child: grown by it, its box would become NaN.
+                *squared += farthest.max(0.0).powi(2);
+            }
+        }
+        let pads = squared.map(|squared| share * squared.sqrt());
+        let mut grown = *node;
+        for axis in 0..3 {
+            for (lane, pad) in pads.iter().enumerate() {
+                grown.min[axis][lane] -= pad;
+                grown.max[axis][lane] += pad;
+            }
+        }
+        grown
+    }
 }

@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::Args;
 use splatprobe::job::{
-    Crop, Frame, Job, MeshInput, Order, Pixel, ProgressStyle, ShDirection, SplatInput, Surface, Tracer, Transform,
-    parse_numbers,
+    Crop, Footprint, Frame, Job, MeshInput, Order, Pixel, ProgressStyle, ShDirection, SplatInput, Surface, Tracer,
+    Transform, parse_numbers,
 };
 use splatprobe::scene::SplatEncoding;
 use splatprobe::{Error, Result, pipeline};
@@ -97,6 +97,10 @@ pub struct Bake {
     /// Rays per pixel and axis: N x N per pixel [default: 1].
     #[arg(long, value_name = "N", help_heading = "Tracing")]
     samples: Option<u32>,
+    /// Widen Gaussians so that fine ones do not alias: none, pixel, or train:PX as 3DGS trains at that focal length
+    /// [default: none].
+    #[arg(long, value_name = "FILTER", help_heading = "Tracing")]
+    footprint: Option<Footprint>,
     /// Blending order along a ray [default: what the splat files ask for where they agree, else rayHitDistance].
     #[arg(long, value_name = "ORDER", help_heading = "Tracing")]
     order: Option<Order>,
@@ -170,6 +174,7 @@ impl Bake {
         set(&mut job.distance, self.distance);
         set(&mut job.face_size, self.face_size);
         set(&mut job.samples, self.samples);
+        set(&mut job.footprint, self.footprint);
         set(&mut job.sh_direction, self.sh_direction);
         set(&mut job.t_cutoff, self.t_cutoff);
         set(&mut job.t_near, self.t_near);
@@ -251,7 +256,7 @@ mod tests {
         std::fs::write(&path, text).unwrap();
         let line = "--splats b.ply --splat-frame rub --splat-transform s=2 --splat-encoding lin-scene --crop sphere:-1,2,3,4 \
             --min-opacity 0.25 --lod 2 --mesh c.glb --mesh-transform t=1,2,3 --mesh-scene 1 --background 1,2,3 -o out --pixel float --distance --stats s.json \
-            --bounds -1,-2,-3,1,2,3 --grid 2,3,4 --overlap 0.5 --face-size 16 --samples 2 --order cameraDistance \
+            --bounds -1,-2,-3,1,2,3 --grid 2,3,4 --overlap 0.5 --face-size 16 --samples 2 --footprint train:800 --order cameraDistance \
             --sh-direction ray --t-cutoff 0 --t-near 0.5 --surface unlit --tracer reference --threads 3 --progress json";
         let line: Vec<&str> = [path.to_str().unwrap()].into_iter().chain(line.split_whitespace()).collect();
         let expected = r#"{
@@ -259,7 +264,7 @@ mod tests {
                 "lod": 2, "crop": {"sphere": [-1, 2, 3, 4]}, "minOpacity": 0.25}],
             "meshes": [{"path": "c.glb", "transform": {"translation": [1, 2, 3]}, "scene": "1"}],
             "output": "out", "stats": "s.json", "progress": "json", "threads": 3, "background": [1, 2, 3],
-            "pixel": "float", "distance": true, "faceSize": 16, "samples": 2, "order": "cameraDistance",
+            "pixel": "float", "distance": true, "faceSize": 16, "samples": 2, "footprint": "train:800", "order": "cameraDistance",
             "shDirection": "ray", "tCutoff": 0, "tNear": 0.5, "surface": "unlit", "tracer": "reference",
             "placement": {"bounds": [-1, -2, -3, 1, 2, 3], "grid": [2, 3, 4], "overlap": 0.5}
         }"#;

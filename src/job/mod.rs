@@ -4,6 +4,7 @@
 
 mod crop;
 mod file;
+mod footprint;
 mod inputs;
 mod validate;
 
@@ -13,6 +14,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use crop::Crop;
+pub use footprint::Footprint;
 pub use inputs::{Frame, MeshInput, SplatInput, Transform, parse_numbers};
 pub use validate::{MAX_FACE_SIZE, MAX_PROBES, MAX_SAMPLES};
 
@@ -141,6 +143,10 @@ pub struct Job {
     /// Rays per pixel and axis: N stands for N x N rays in a regular pattern. Default: 1.
     #[schemars(range(min = 1, max = 64))]
     pub samples: u32,
+    /// How Gaussians are widened so that fine ones do not alias: `none`; `pixel`, to what a ray of the bake stands for, with
+    /// the light of each kept; `train:` and a focal length in pixels, at least 1, as 3DGS does while it trains on images of
+    /// that focal length. Default: none.
+    pub footprint: Footprint,
     /// Blending order along a ray. Default: what the splat files ask for where they agree, else rayHitDistance.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub order: Option<Order>,
@@ -186,6 +192,7 @@ impl Default for Job {
             placement: Placement::default(),
             face_size: 256,
             samples: 1,
+            footprint: Footprint::default(),
             order: None,
             sh_direction: ShDirection::default(),
             t_cutoff: 1.0 / 2048.0,

@@ -1,6 +1,7 @@
 //! The one place where a job's values are checked, alone and together.
 
-use super::{Crop, Job, MeshInput, Placement, SplatInput, Transform};
+use super::footprint::MIN_FOCAL;
+use super::{Crop, Footprint, Job, MeshInput, Placement, SplatInput, Transform};
 use crate::{Error, Result};
 
 /// Largest edge of a cube face, in pixels: a probe's six faces then take 6 GiB while they are traced.
@@ -38,6 +39,11 @@ impl Job {
         require((1..=MAX_SAMPLES).contains(&self.samples), "--samples", || {
             format!("{} is not between 1 and {MAX_SAMPLES} rays per pixel and axis", self.samples)
         })?;
+        if let Footprint::Train(focal) = self.footprint {
+            require(focal.is_finite() && focal >= MIN_FOCAL, "--footprint", || {
+                format!("{focal} is not a focal length of {MIN_FOCAL} pixel or more")
+            })?;
+        }
         require((0.0..1.0).contains(&self.t_cutoff), "--t-cutoff", || {
             format!("{} is not a transmittance from 0 to below 1", self.t_cutoff)
         })?;
@@ -190,7 +196,7 @@ mod tests {
     #[test]
     fn every_fault_is_an_error_that_names_its_flag() {
         type Fault = (&'static str, fn(&mut Job));
-        let faults: [Fault; 26] = [
+        let faults: [Fault; 28] = [
             ("--splats", |job| job.splats.clear()),
             ("--splats", |job| job.splats[0].path = "".into()),
             ("--splat-transform", |job| job.splats[0].transform.rotation = [0.0; 4]),
@@ -213,6 +219,8 @@ mod tests {
             ("--face-size", |job| job.face_size = 8193),
             ("--samples", |job| job.samples = 0),
             ("--t-cutoff", |job| job.t_cutoff = 1.0),
+            ("--footprint", |job| job.footprint = Footprint::Train(0.5)),
+            ("--footprint", |job| job.footprint = Footprint::Train(f64::INFINITY)),
             ("--t-near", |job| job.t_near = f32::NAN),
             ("--background", |job| job.background[1] = -1.0),
             ("--threads", |job| job.threads = usize::MAX),

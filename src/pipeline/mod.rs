@@ -19,7 +19,7 @@ use crate::manifest::{self, InputRecord, Manifest};
 use crate::place::{self, Probe};
 use crate::scene::{Bounds, LinearRgb, Scene};
 use crate::shade::UnlitSurfaces;
-use crate::trace::{BeamTracer, Level, RayTracer, ReferenceTracer, Surfaces, TileTracer, TraceSettings};
+use crate::trace::{BeamTracer, Footprint, Level, RayTracer, ReferenceTracer, Surfaces, TileTracer, TraceSettings};
 use crate::{Error, Result};
 
 pub use output::PREVIEW_FILE;
@@ -138,7 +138,13 @@ fn tracer<'a>(
     bvh: &'a Bvh,
     surfaces: &'a dyn Surfaces,
 ) -> Box<dyn TileTracer + 'a> {
-    let settings = TraceSettings { order, sh_direction: job.sh_direction, t_cutoff: job.t_cutoff, t_near: job.t_near };
+    let settings = TraceSettings {
+        order,
+        sh_direction: job.sh_direction,
+        t_cutoff: job.t_cutoff,
+        t_near: job.t_near,
+        footprint: Footprint::new(job.footprint, job.face_size * job.samples),
+    };
     match job.tracer {
         Tracer::Beam => Box::new(BeamTracer { scene, bvh, surfaces, settings, level: Level::best() }),
         Tracer::Ray => Box::new(RayTracer { scene, bvh, surfaces, settings }),

@@ -4,6 +4,7 @@ mod batch;
 pub mod beam;
 pub mod composite;
 pub mod cube;
+pub mod footprint;
 pub mod gaussian;
 pub mod level;
 pub mod ray;
@@ -18,6 +19,7 @@ use crate::scene::LinearRgb;
 pub use beam::BeamTracer;
 pub use composite::Radiance;
 pub use cube::Face;
+pub use footprint::Footprint;
 pub use level::Level;
 pub use ray::RayTracer;
 pub use reference::ReferenceTracer;
@@ -33,11 +35,19 @@ pub struct TraceSettings {
     pub t_cutoff: f32,
     /// Contributions nearer than this, in metres, are ignored.
     pub t_near: f32,
+    /// How Gaussians are widened.
+    pub footprint: Footprint,
 }
 
 impl Default for TraceSettings {
     fn default() -> Self {
-        Self { order: Order::default(), sh_direction: ShDirection::default(), t_cutoff: 1.0 / 2048.0, t_near: 0.0 }
+        Self {
+            order: Order::default(),
+            sh_direction: ShDirection::default(),
+            t_cutoff: 1.0 / 2048.0,
+            t_near: 0.0,
+            footprint: Footprint::default(),
+        }
     }
 }
 

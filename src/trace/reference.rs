@@ -13,7 +13,7 @@ pub struct ReferenceTracer<'a> {
     pub scene: &'a Scene,
     /// What surfaces look like.
     pub surfaces: &'a dyn Surfaces,
-    /// Order, colour direction and near end.
+    /// Order, colour direction, near end and footprint.
     pub settings: TraceSettings,
 }
 
@@ -57,6 +57,8 @@ impl ReferenceTracer<'_> {
                 let mean_from_origin = splats.means[index].as_dvec3() - ray.origin;
                 let unit_from_world = splats.unit_from_world[index].as_dmat3();
                 let opacity = f64::from(splats.opacities[index]);
+                let (unit_from_world, opacity) =
+                    self.settings.footprint.widened(&unit_from_world, opacity, mean_from_origin);
                 let met = gaussian::response(&unit_from_world, opacity, mean_from_origin, ray.direction);
                 met.contributes(t_near).then(|| Event {
                     key: match self.settings.order {

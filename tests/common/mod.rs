@@ -5,7 +5,7 @@ use glam::{DQuat, DVec3, Vec2, Vec3};
 use splatprobe::scene::mesh::{Material, VertexAttributes};
 use splatprobe::scene::splats::ALPHA_MIN;
 use splatprobe::scene::{LinearRgb, Scene, Splats, sh};
-use splatprobe::trace::{Fragment, Ray, SurfaceHit, Surfaces, gaussian};
+use splatprobe::trace::{Footprint, Fragment, Ray, SurfaceHit, Surfaces, gaussian};
 
 /// A counter-based generator (splitmix64): the same numbers on every machine.
 pub struct Random(pub u64);
@@ -154,25 +154,35 @@ impl Surfaces for NoSurfaces {
 /// strongest [at the probe](begins_at_the_probe), or two that contribute have their strongest response at the same
 /// distance to within 1e-6.
 pub fn hangs_on_rounding(scene: &Scene, ray: &Ray) -> bool {
-    let responses = responses(scene, ray);
+    hangs_on_rounding_under(Footprint::default(), scene, ray)
+}
+
+/// [`hangs_on_rounding`], of Gaussians that `footprint` has widened.
+pub fn hangs_on_rounding_under(footprint: Footprint, scene: &Scene, ray: &Ray) -> bool {
+    let responses = responses(footprint, scene, ray);
     let mut distances: Vec<f64> = responses.iter().filter(|r| r.contributes(0.0)).map(|r| r.distance).collect();
     distances.sort_by(f64::total_cmp);
     responses.iter().any(|r| (r.alpha / ALPHA_MIN - 1.0).abs() < 2e-5)
         || distances.windows(2).any(|pair| pair[1] / pair[0] - 1.0 < 1e-6)
-        || begins_at_the_probe(scene, ray)
+        || begin_at_the_probe(&responses)
 }
 
 /// Whether some Gaussian's response is strongest within a micrometre of the ray's origin: it counts in front and not behind.
 pub fn begins_at_the_probe(scene: &Scene, ray: &Ray) -> bool {
-    responses(scene, ray).iter().any(|r| r.alpha >= ALPHA_MIN && r.distance.abs() < 1e-6)
+    begin_at_the_probe(&responses(Footprint::default(), scene, ray))
 }
 
-fn responses(scene: &Scene, ray: &Ray) -> Vec<gaussian::Response> {
+fn begin_at_the_probe(responses: &[gaussian::Response]) -> bool {
+    responses.iter().any(|r| r.alpha >= ALPHA_MIN && r.distance.abs() < 1e-6)
+}
+
+fn responses(footprint: Footprint, scene: &Scene, ray: &Ray) -> Vec<gaussian::Response> {
     let splats = &scene.splats;
     let response = |i: usize| {
         let mean = splats.means[i].as_dvec3() - ray.origin;
-        let opacity = f64::from(splats.opacities[i]);
-        gaussian::response(&splats.unit_from_world[i].as_dmat3(), opacity, mean, ray.direction)
+        let (m, opacity) =
+            footprint.widened(&splats.unit_from_world[i].as_dmat3(), f64::from(splats.opacities[i]), mean);
+        gaussian::response(&m, opacity, mean, ray.direction)
     };
     (0..splats.len()).map(response).collect()
 }

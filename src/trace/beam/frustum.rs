@@ -4,7 +4,7 @@ use glam::DVec3;
 
 use crate::bvh::{Viewpoint, WIDTH, WideNode};
 use crate::job::Order;
-use crate::trace::{Face, Tile};
+use crate::trace::{Face, Footprint, Tile};
 
 /// Image coordinates in f32 are good to 1e-3 texels on faces up to 8192; boxes are widened by this many.
 const TEXEL_SLACK: f32 = 1e-2;
@@ -43,6 +43,8 @@ pub(super) struct Frustum {
     last: [f32; 2],
     block_edge: u32,
     order: Order,
+    /// [`Footprint::reach`].
+    reach: f32,
 }
 
 /// What a tile sees of a node's children.
@@ -56,7 +58,7 @@ pub(super) struct Seen {
 type Boxes = [f32; WIDTH];
 
 impl Frustum {
-    pub fn new(origin: DVec3, tile: &Tile, block_edge: u32, order: Order) -> Self {
+    pub fn new(origin: DVec3, tile: &Tile, block_edge: u32, order: Order, footprint: Footprint) -> Self {
         let half = f64::from(tile.face_size) / 2.0;
         Self {
             axes: FaceAxes::new(tile.face),
@@ -66,20 +68,28 @@ impl Frustum {
             last: [(tile.width - 1) as f32, (tile.height - 1) as f32],
             block_edge,
             order,
+            reach: footprint.reach(),
         }
     }
 
     #[inline(always)]
     pub fn meet(&self, node: &WideNode) -> Seen {
-        let [near, far] = self.extent(node, 2);
+        let grown;
+        let reached = if self.reach > 0.0 {
+            grown = self.viewpoint.grown(node, self.reach);
+            &grown
+        } else {
+            node
+        };
+        let [near, far] = self.extent(reached, 2);
         let (mut key, mut seen) = ([0.0; WIDTH], [true; WIDTH]);
         for k in 0..WIDTH {
             key[k] = if near[k] > 0.0 { near[k] } else { 0.0 };
             // What lies behind the face's plane is seen by other faces. An absent child's box ends at -inf.
             seen[k] = far[k] > 0.0;
         }
-        let columns = self.texels(node, 0, &key, &far);
-        let rows = self.texels(node, 1, &key, &far);
+        let columns = self.texels(reached, 0, &key, &far);
+        let rows = self.texels(reached, 1, &key, &far);
         let mut blocks = [0; WIDTH];
         for k in 0..WIDTH {
             if seen[k] & (columns[0][k] <= columns[1][k]) & (rows[0][k] <= rows[1][k]) {
@@ -90,6 +100,7 @@ impl Frustum {
         }
         let keys = match self.order {
             Order::RayHitDistance => key.map(|near| near * (1.0 - KEY_SLACK)),
+            // Of means, which no footprint moves.
             Order::CameraDistance => self.viewpoint.distances(node).map(|distance| distance * (1.0 - KEY_SLACK)),
         };
         Seen { keys, blocks }

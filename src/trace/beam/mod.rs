@@ -38,7 +38,7 @@ pub struct BeamTracer<'a> {
     pub bvh: &'a Bvh,
     /// What surfaces look like.
     pub surfaces: &'a dyn Surfaces,
-    /// Order, colour direction, near end and cut-off.
+    /// Order, colour direction, near end, cut-off and footprint.
     pub settings: TraceSettings,
     /// Instruction level of the kernels.
     pub level: Level,

@@ -17,8 +17,8 @@ use pulp::Simd;
 use super::frustum::{FaceAxes, block_mask};
 use crate::job::Order;
 use crate::scene::{Meshes, Splats};
-use crate::trace::Tile;
 use crate::trace::batch::{BATCH, Batch, Lanes, Vector3, cross, difference_of_products, dot, plus_scaled, scaled};
+use crate::trace::{Footprint, Tile};
 
 /// Image positions are formed in f64; a texel's centre this close to an ellipse's edge counts as inside.
 const TEXEL_SLACK: f64 = 1e-3;
@@ -83,6 +83,7 @@ pub(super) struct Projection {
     tile: Tile,
     block_edge: u32,
     order: Order,
+    footprint: Footprint,
     axes: FaceAxes,
     /// Direction through the tile's corner and its centre, right and down, where the look component is 1.
     corner: [f64; 2],
@@ -110,7 +111,7 @@ struct ProjectedLanes {
 }
 
 impl Projection {
-    pub fn new(origin: DVec3, tile: &Tile, block_edge: u32, order: Order) -> Self {
+    pub fn new(origin: DVec3, tile: &Tile, block_edge: u32, order: Order, footprint: Footprint) -> Self {
         let texel = 2.0 / f64::from(tile.face_size);
         let corner = [f64::from(tile.x) * texel - 1.0, f64::from(tile.y) * texel - 1.0];
         let edges = [f64::from(tile.width), f64::from(tile.height)];
@@ -129,7 +130,8 @@ impl Projection {
             rows: [Lanes::ZERO; 2],
         });
         let axes = FaceAxes::new(tile.face);
-        Self { origin, tile: *tile, block_edge, order, axes, corner, centre, texel, batch: Batch::default(), lanes }
+        let batch = Batch::default();
+        Self { origin, tile: *tile, block_edge, order, footprint, axes, corner, centre, texel, batch, lanes }
     }
 
     /// Adds Gaussian `index` to the batch; true when that fills it.
@@ -141,6 +143,9 @@ impl Projection {
     /// Projects the batch and empties it; [`Self::candidate`] then gives the first `n` returned.
     #[inline(always)]
     pub fn project<S: Simd>(&mut self, simd: S) -> usize {
+        if !self.footprint.is_none() {
+            self.footprint.widen(simd, &mut self.batch);
+        }
         let lanes = &mut *self.lanes;
         for (log2, opacity) in lanes.log2_opacity.0.iter_mut().zip(self.batch.opacity.0) {
             *log2 = log2_of(opacity);

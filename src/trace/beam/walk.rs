@@ -12,7 +12,7 @@ use super::project::{Candidate, Projection};
 use crate::bvh::{Child, WIDTH};
 use crate::job::ShDirection;
 use crate::scene::sh;
-use crate::trace::Tile;
+use crate::trace::{Tile, TraceSettings};
 
 /// Candidates that are worth a round of shading. More amortise the dealing to blocks, fewer stop sooner behind an opaque
 /// surface.
@@ -63,10 +63,11 @@ enum Waiting {
 
 impl<'a> Walk<'a> {
     pub fn new(tracer: &'a BeamTracer<'a>, origin: DVec3, tile: &Tile, block_edge: u32) -> Self {
+        let TraceSettings { order, footprint, .. } = tracer.settings;
         Self {
             tracer,
-            frustum: Frustum::new(origin, tile, block_edge, tracer.settings.order),
-            projection: Projection::new(origin, tile, block_edge, tracer.settings.order),
+            frustum: Frustum::new(origin, tile, block_edge, order, footprint),
+            projection: Projection::new(origin, tile, block_edge, order, footprint),
             window: 0.0,
             complete: 0.0,
             open: if tracer.bvh.nodes.is_empty() { Vec::new() } else { vec![0] },

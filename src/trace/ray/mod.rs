@@ -32,7 +32,7 @@ pub struct RayTracer<'a> {
     pub bvh: &'a Bvh,
     /// What surfaces look like.
     pub surfaces: &'a dyn Surfaces,
-    /// Order, colour direction, near end and cut-off.
+    /// Order, colour direction, near end, cut-off and footprint.
     pub settings: TraceSettings,
 }
 
@@ -122,7 +122,7 @@ impl RayTracer<'_> {
 
     #[inline(always)]
     fn walk<S: Simd>(&self, simd: S, ray: &Ray, scratch: &mut RayScratch) -> Radiance {
-        let slabs = Slabs::new(ray, self.settings.order);
+        let slabs = Slabs::new(ray, self.settings.order, self.settings.footprint);
         let mut blender = Blender::default();
         // Nothing with a larger key can be seen: the nearest surface that is surely opaque.
         let mut horizon = f64::INFINITY;
@@ -239,7 +239,7 @@ impl RayTracer<'_> {
     #[inline(always)]
     fn meet_batch<S: Simd>(&self, simd: S, ray: &Ray, scratch: &mut RayScratch) {
         let near = f64::from(self.settings.t_near);
-        for lane in 0..scratch.responses.evaluate(simd, ray.direction) {
+        for lane in 0..scratch.responses.evaluate(simd, ray.direction, self.settings.footprint) {
             let LaneResponse { index, alpha, distance, mean_from_origin } = scratch.responses.lane(lane);
             if alpha >= ALPHA_MIN && distance > near {
                 let key = match self.settings.order {

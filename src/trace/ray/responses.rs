@@ -8,6 +8,7 @@ use pulp::Simd;
 
 use crate::scene::Splats;
 use crate::scene::splats::ALPHA_MAX;
+use crate::trace::Footprint;
 use crate::trace::batch::{BATCH, Batch, Lanes, cross, dot};
 
 /// A batch of Gaussians and what it responds.
@@ -41,7 +42,10 @@ impl Responses {
 
     /// Computes the responses of all lanes and empties the batch; [`Self::lane`] then gives the first `n` returned.
     #[inline(always)]
-    pub fn evaluate<S: Simd>(&mut self, simd: S, direction: DVec3) -> usize {
+    pub fn evaluate<S: Simd>(&mut self, simd: S, direction: DVec3, footprint: Footprint) -> usize {
+        if !footprint.is_none() {
+            footprint.widen(simd, &mut self.batch);
+        }
         let d = [simd.splat_f64s(direction.x), simd.splat_f64s(direction.y), simd.splat_f64s(direction.z)];
         for v in 0..BATCH / S::F64_LANES {
             let [mx, my, mz] = &self.batch.mean_from_origin;
@@ -123,14 +127,14 @@ mod tests {
     use crate::scene::splats::ALPHA_MIN;
     use crate::trace::{Level, gaussian};
 
-    struct Evaluate<'a>(&'a mut Responses, DVec3);
+    struct Evaluate<'a>(&'a mut Responses, DVec3, Footprint);
 
     impl WithSimd for Evaluate<'_> {
         type Output = usize;
 
         #[inline(always)]
         fn with_simd<S: Simd>(self, simd: S) -> usize {
-            self.0.evaluate(simd, self.1)
+            self.0.evaluate(simd, self.1, self.2)
         }
     }
 
@@ -155,16 +159,22 @@ mod tests {
             }
             let origin = DVec3::new(0.4 + 0.2 * uniform(), 0.5, 0.0);
             let direction = DVec3::new(0.02 * uniform(), 0.02 * uniform(), 1.0).normalize();
+            let footprint = [
+                Footprint::default(),
+                Footprint { sigma_per_metre: 0.1 * uniform(), keeps_energy: true },
+                Footprint { sigma_per_metre: 0.1 * uniform(), keeps_energy: false },
+            ][(3.0 * uniform()) as usize];
             for level in Level::available() {
                 let mut responses = Responses::default();
                 for index in 0..BATCH as u32 {
                     assert_eq!(responses.add(&splats, index, origin), index as usize == BATCH - 1);
                 }
-                assert_eq!(level.run(Evaluate(&mut responses, direction)), BATCH);
+                assert_eq!(level.run(Evaluate(&mut responses, direction, footprint)), BATCH);
                 for lane in 0..BATCH {
                     let seen = responses.lane(lane);
                     let (m, mean) = (splats.unit_from_world[lane].as_dmat3(), splats.means[lane].as_dvec3() - origin);
-                    let exact = gaussian::response(&m, f64::from(splats.opacities[lane]), mean, direction);
+                    let (m, opacity) = footprint.widened(&m, f64::from(splats.opacities[lane]), mean);
+                    let exact = gaussian::response(&m, opacity, mean, direction);
                     assert!((seen.distance - exact.distance).abs() <= 1e-12 * exact.distance.abs().max(1.0));
                     let weak = seen.alpha < ALPHA_MIN && exact.alpha < ALPHA_MIN;
                     assert!(weak || (seen.alpha - exact.alpha).abs() < 1e-9, "{} {}", seen.alpha, exact.alpha);

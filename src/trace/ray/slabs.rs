@@ -4,7 +4,7 @@ use glam::Vec3;
 
 use crate::bvh::{Viewpoint, WIDTH, WideNode};
 use crate::job::Order;
-use crate::trace::Ray;
+use crate::trace::{Footprint, Ray};
 
 /// Slab distances in f32 carry a few roundings of relative size 6e-8 each; this covers them with room to spare.
 const SLAB_SLACK: f32 = 1e-6;
@@ -16,6 +16,8 @@ pub(super) struct Slabs {
     /// Per axis, from where distances to the nearer planes are measured, and to the farther ones: rounded outward.
     from: [[f32; 2]; 3],
     order: Order,
+    /// [`Footprint::reach`].
+    reach: f32,
 }
 
 /// The children of a node that a ray meets.
@@ -29,7 +31,7 @@ pub(super) struct Met {
 }
 
 impl Slabs {
-    pub fn new(ray: &Ray, order: Order) -> Self {
+    pub fn new(ray: &Ray, order: Order, footprint: Footprint) -> Self {
         // A component of 1e-20 is as good as 0: over 1e15 m, the end of all boxes, it moves 1e-5 m.
         let inverse = |d: f64| 1.0 / if d.abs() < 1e-20 { 1e-20f32.copysign(d as f32) } else { d as f32 };
         let inverse = Vec3::new(inverse(ray.direction.x), inverse(ray.direction.y), inverse(ray.direction.z));
@@ -38,19 +40,26 @@ impl Slabs {
             let (low, high) = (viewpoint.low[axis], viewpoint.high[axis]);
             if inverse[axis] >= 0.0 { [high, low] } else { [low, high] }
         });
-        Self { viewpoint, inverse, from, order }
+        Self { viewpoint, inverse, from, order, reach: footprint.reach() }
     }
 
     /// Which of a node's children the ray meets.
     #[inline(always)]
     pub fn meet(&self, node: &WideNode, window: f32) -> Met {
+        let grown;
+        let reached = if self.reach > 0.0 {
+            grown = self.viewpoint.grown(node, self.reach);
+            &grown
+        } else {
+            node
+        };
         let mut enter = [0.0f32; WIDTH];
         let mut exit = [f32::INFINITY; WIDTH];
         for axis in 0..3 {
             let ([near_from, far_from], inverse) = (self.from[axis], self.inverse[axis]);
             let forward = inverse >= 0.0;
-            let near_planes = if forward { &node.min[axis] } else { &node.max[axis] };
-            let far_planes = if forward { &node.max[axis] } else { &node.min[axis] };
+            let near_planes = if forward { &reached.min[axis] } else { &reached.max[axis] };
+            let far_planes = if forward { &reached.max[axis] } else { &reached.min[axis] };
             // Apart, and with plain comparisons: that is what becomes eight lanes.
             for k in 0..WIDTH {
                 let near = (near_planes[k] - near_from) * inverse;
@@ -64,6 +73,7 @@ impl Slabs {
         let enter = enter.map(|distance| distance * (1.0 - SLAB_SLACK));
         let keys = match self.order {
             Order::RayHitDistance => enter,
+            // Of means, which no footprint moves.
             Order::CameraDistance => self.viewpoint.distances(node).map(|distance| distance * (1.0 - SLAB_SLACK)),
         };
         // An absent child's box runs from +inf to -inf, so that it is left before it is entered.
