@@ -6,8 +6,8 @@
 //! boxes look like, nothing is kept in order that is not blended, a ray ends within a window of where its transmittance
 //! falls below the cut-off, and memory is bounded by what the ray meets.
 //
-// Tried: two priority queues, one of nodes by their lower bound and one of contributions. It opens a tenth fewer nodes
-// and spends twice the time, most of it on mispredicted branches of the queues.
+// Tried: two priority queues, one of nodes by their lower bound and one of contributions; as many nodes, and a seventh to
+// a half more time. The rays of a tile in squares of 8 instead of rows, for the caches' sake: no faster.
 
 mod responses;
 mod slabs;
