@@ -70,6 +70,10 @@ impl Batch {
         self.filled == BATCH
     }
 
+    pub fn is_empty(&self) -> bool {
+        self.filled == 0
+    }
+
     /// How many Gaussians the batch holds. It counts as empty from here on; its lanes stay until the next [`Self::add`].
     #[inline(always)]
     pub fn take(&mut self) -> usize {

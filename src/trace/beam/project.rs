@@ -143,6 +143,9 @@ impl Projection {
     /// Projects the batch and empties it; [`Self::candidate`] then gives the first `n` returned.
     #[inline(always)]
     pub fn project<S: Simd>(&mut self, simd: S) -> usize {
+        if self.batch.is_empty() {
+            return 0;
+        }
         if !self.footprint.is_none() {
             self.footprint.widen(simd, &mut self.batch);
         }
@@ -410,7 +413,7 @@ fn unit_across<S: Simd>(simd: S, ahead: Vector3<S>, toward: Vector3<S>) -> Vecto
 }
 
 /// log2(1/255).
-const LOG2_ALPHA_MIN: f64 = -7.994_353_436_858_858;
+pub(super) const LOG2_ALPHA_MIN: f64 = -7.994_353_436_858_858;
 
 /// log2 of a positive number that f32 holds, to 1e-10: the exponent, and a series in (m - 1) / (m + 1) for a mantissa m
 /// between the roots of 1/2 and 2. Inlined where eight are taken at once.

@@ -5,7 +5,7 @@ use pulp::Simd;
 
 use super::BeamTracer;
 use super::block::{Block, Colour, Desk, Entry, Lanes, State, edge};
-use super::project::Candidate;
+use super::project::{Candidate, LOG2_ALPHA_MIN};
 use crate::job::{Order, ShDirection};
 use crate::scene::sh;
 use crate::scene::splats::ALPHA_MAX;
@@ -148,7 +148,7 @@ impl<'a, const N: usize> Shader<'a, N> {
             let exponent = simd.sub_f32s(simd.splat_f32s(log2_opacity), fall);
             let lane_depth = simd.mul_f32s(simd.mul_f32s(simd.splat_f32s(depth), h), v_squared_inverse);
             let contributes = simd.and_m32s(
-                simd.greater_than_or_equal_f32s(exponent, simd.splat_f32s(LOG2_ALPHA_MIN)),
+                simd.greater_than_or_equal_f32s(exponent, simd.splat_f32s(LOG2_ALPHA_MIN as f32)),
                 simd.greater_than_f32s(lane_depth, near_depth),
             );
             let alpha = simd.min_f32s(exp2(simd, exponent), simd.splat_f32s(ALPHA_MAX as f32));
@@ -244,9 +244,6 @@ fn affine<S: Simd>(simd: S, form: [f32; 3], x: S::f32s, y: S::f32s) -> S::f32s {
     simd.mul_add_e_f32s(simd.splat_f32s(form[1]), x, constant)
 }
 
-/// log2(1/255).
-const LOG2_ALPHA_MIN: f32 = -7.994_353_4;
-
 /// 2^x for -126 < x < 126, to 1.5e-7 relative: `2^round(x)` through the exponent bits times a polynomial of degree 5,
 /// fitted to least relative error (7.5e-8) on [-1/2, 1/2].
 #[inline(always)]
@@ -302,6 +299,6 @@ mod tests {
 
     #[test]
     fn the_threshold_in_log2_is_the_models() {
-        assert!((f64::from(LOG2_ALPHA_MIN) - ALPHA_MIN.log2()).abs() < 5e-7);
+        assert!((f64::from(LOG2_ALPHA_MIN as f32) - ALPHA_MIN.log2()).abs() < 5e-7);
     }
 }

@@ -18,10 +18,10 @@ use pulp::Simd;
 use self::responses::{LaneResponse, Responses};
 use self::slabs::Slabs;
 use super::composite::Blender;
+use super::gaussian::Response;
 use super::{Radiance, Ray, SurfaceHit, Surfaces, Tile, TileTracer, TraceSettings, triangle};
 use crate::bvh::{Bvh, Child};
 use crate::job::{Order, ShDirection};
-use crate::scene::splats::ALPHA_MIN;
 use crate::scene::{Scene, sh};
 
 /// Traces single rays through the tree.
@@ -92,7 +92,7 @@ impl RayScratch {
 /// Something met along a ray.
 #[derive(Clone, Copy)]
 enum Met {
-    Gaussian { index: u32, alpha: f64, distance: f64 },
+    Gaussian { index: u32, response: Response },
     Surface(SurfaceHit),
 }
 
@@ -150,14 +150,11 @@ impl RayTracer<'_> {
                 }
             }
             self.meet_batch(simd, ray, scratch);
-            let end = if scratch.later.is_empty() { f64::INFINITY } else { f64::from(window) };
-            if !self.blend_below(end, ray, &mut blender, scratch) || scratch.later.is_empty() {
-                break;
-            }
             let nearest = scratch.later.iter().fold(f32::INFINITY, |nearest, &(key, _)| nearest.min(key));
-            if f64::from(nearest) > horizon {
-                scratch.later.clear();
-                self.blend_below(f64::INFINITY, ray, &mut blender, scratch);
+            // Nothing waits, or nothing of it can be seen.
+            let last = nearest == f32::INFINITY || f64::from(nearest) > horizon;
+            let end = if last { f64::INFINITY } else { f64::from(window) };
+            if !self.blend_below(end, ray, &mut blender, scratch) || last {
                 break;
             }
             // At least one box more, even if its key is 0 or cannot be told from the window's end.
@@ -209,7 +206,7 @@ impl RayTracer<'_> {
         for i in waiting..scratch.events.len() {
             let event = scratch.events[i];
             match scratch.met[event as u32 as usize] {
-                Met::Gaussian { index, alpha, distance } => {
+                Met::Gaussian { index, response: Response { distance, alpha } } => {
                     let colour = self.colour(index, ray, scratch);
                     if self.scene.splats.is_linear(index as usize) {
                         blender.linear_splat(alpha, colour, distance);
@@ -240,13 +237,13 @@ impl RayTracer<'_> {
     fn meet_batch<S: Simd>(&self, simd: S, ray: &Ray, scratch: &mut RayScratch) {
         let near = f64::from(self.settings.t_near);
         for lane in 0..scratch.responses.evaluate(simd, ray.direction, self.settings.footprint) {
-            let LaneResponse { index, alpha, distance, mean_from_origin } = scratch.responses.lane(lane);
-            if alpha >= ALPHA_MIN && distance > near {
+            let LaneResponse { index, response, mean_from_origin } = scratch.responses.lane(lane);
+            if response.contributes(near) {
                 let key = match self.settings.order {
-                    Order::RayHitDistance => distance,
+                    Order::RayHitDistance => response.distance,
                     Order::CameraDistance => mean_from_origin.length(),
                 };
-                scratch.meet(key, index, Met::Gaussian { index, alpha, distance });
+                scratch.meet(key, index, Met::Gaussian { index, response });
             }
         }
     }

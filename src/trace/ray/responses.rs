@@ -10,6 +10,7 @@ use crate::scene::Splats;
 use crate::scene::splats::ALPHA_MAX;
 use crate::trace::Footprint;
 use crate::trace::batch::{BATCH, Batch, Lanes, cross, dot};
+use crate::trace::gaussian::Response;
 
 /// A batch of Gaussians and what it responds.
 pub(super) struct Responses {
@@ -24,11 +25,10 @@ impl Default for Responses {
     }
 }
 
-/// One Gaussian's response, as [`crate::trace::gaussian::Response`] has it.
+/// One Gaussian's response.
 pub(super) struct LaneResponse {
     pub index: u32,
-    pub distance: f64,
-    pub alpha: f64,
+    pub response: Response,
     /// Metres from the ray's origin to the mean.
     pub mean_from_origin: DVec3,
 }
@@ -43,6 +43,9 @@ impl Responses {
     /// Computes the responses of all lanes and empties the batch; [`Self::lane`] then gives the first `n` returned.
     #[inline(always)]
     pub fn evaluate<S: Simd>(&mut self, simd: S, direction: DVec3, footprint: Footprint) -> usize {
+        if self.batch.is_empty() {
+            return 0;
+        }
         if !footprint.is_none() {
             footprint.widen(simd, &mut self.batch);
         }
@@ -75,8 +78,7 @@ impl Responses {
         let [x, y, z] = &self.batch.mean_from_origin;
         LaneResponse {
             index: self.batch.index[lane],
-            distance: self.distance.0[lane],
-            alpha: self.alpha.0[lane],
+            response: Response { distance: self.distance.0[lane], alpha: self.alpha.0[lane] },
             mean_from_origin: DVec3::new(x.0[lane], y.0[lane], z.0[lane]),
         }
     }
@@ -171,7 +173,7 @@ mod tests {
                 }
                 assert_eq!(level.run(Evaluate(&mut responses, direction, footprint)), BATCH);
                 for lane in 0..BATCH {
-                    let seen = responses.lane(lane);
+                    let seen = responses.lane(lane).response;
                     let (m, mean) = (splats.unit_from_world[lane].as_dmat3(), splats.means[lane].as_dvec3() - origin);
                     let (m, opacity) = footprint.widened(&m, f64::from(splats.opacities[lane]), mean);
                     let exact = gaussian::response(&m, opacity, mean, direction);
