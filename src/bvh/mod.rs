@@ -36,8 +36,10 @@ pub struct WideNode {
     pub index: [u32; WIDTH],
     /// Bit by bit, which children are nodes.
     pub nodes: u8,
-    /// Which are Gaussians. What is neither is a triangle.
+    /// Which are Gaussians.
     pub gaussians: u8,
+    /// Which are triangles. A lane in none of the three has no child.
+    pub triangles: u8,
 }
 
 /// What is under one lane of a [`WideNode`].
@@ -58,6 +60,7 @@ impl WideNode {
         index: [0; WIDTH],
         nodes: 0,
         gaussians: 0,
+        triangles: 0,
     };
 
     /// The child in `lane`. Meaningful only where the lane's box is not empty.
@@ -83,19 +86,13 @@ impl WideNode {
             self.min[axis][lane] = child_box.min[axis];
             self.max[axis][lane] = child_box.max[axis];
         }
-        let bit = 1 << lane;
-        (self.nodes, self.gaussians) = (self.nodes & !bit, self.gaussians & !bit);
-        self.index[lane] = match child {
-            Child::Node(index) => {
-                self.nodes |= bit;
-                index
-            }
-            Child::Gaussian(index) => {
-                self.gaussians |= bit;
-                index
-            }
-            Child::Triangle(index) => index,
+        let (kind, index) = match child {
+            Child::Node(index) => (&mut self.nodes, index),
+            Child::Gaussian(index) => (&mut self.gaussians, index),
+            Child::Triangle(index) => (&mut self.triangles, index),
         };
+        *kind |= 1 << lane;
+        self.index[lane] = index;
     }
 }
 

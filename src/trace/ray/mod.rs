@@ -19,8 +19,9 @@ use self::responses::{LaneResponse, Responses};
 use self::slabs::Slabs;
 use super::composite::Blender;
 use super::gaussian::Response;
+use super::batch::BATCH;
 use super::{Radiance, Ray, SurfaceHit, Surfaces, Tile, TileTracer, TraceSettings, triangle};
-use crate::bvh::{Bvh, Child};
+use crate::bvh::{Bvh, Child, WIDTH};
 use crate::job::{Order, ShDirection};
 use crate::scene::{Scene, sh};
 
@@ -40,6 +41,8 @@ pub struct RayTracer<'a> {
 pub struct RayScratch {
     /// Nodes to open in this window.
     open: Vec<u32>,
+    /// Gaussians whose boxes the ray meets in this window.
+    gaussians: Vec<u32>,
     /// What begins behind this window, with a lower bound on its keys.
     later: Vec<(f32, Child)>,
     responses: Responses,
@@ -59,6 +62,7 @@ impl Default for RayScratch {
     fn default() -> Self {
         Self {
             open: Vec::new(),
+            gaussians: Vec::new(),
             later: Vec::new(),
             responses: Responses::default(),
             events: Vec::new(),
@@ -135,21 +139,17 @@ impl RayTracer<'_> {
             while let Some(index) = scratch.open.pop() {
                 let node = &self.bvh.nodes[index as usize];
                 let met = slabs.meet(node, window);
-                // One kind after another: which kind is next cannot be predicted.
+                // One kind after another, and without a branch per child: what a ray meets cannot be predicted.
+                append(&mut scratch.open, &node.index, met.now & node.nodes);
+                append(&mut scratch.gaussians, &node.index, met.now & node.gaussians);
+                for lane in bits(met.now & node.triangles) {
+                    horizon = self.meet_triangle(ray, node.index[lane], horizon, scratch);
+                }
                 for lane in bits(met.later) {
                     scratch.later.push((met.keys[lane], node.child(lane)));
                 }
-                for lane in bits(met.now & node.nodes) {
-                    scratch.open.push(node.index[lane]);
-                }
-                for lane in bits(met.now & node.gaussians) {
-                    self.meet_gaussian(simd, ray, node.index[lane], scratch);
-                }
-                for lane in bits(met.now & !(node.nodes | node.gaussians)) {
-                    horizon = self.meet_triangle(ray, node.index[lane], horizon, scratch);
-                }
             }
-            self.meet_batch(simd, ray, scratch);
+            self.meet_gaussians(simd, ray, scratch);
             let nearest = scratch.later.iter().fold(f32::INFINITY, |nearest, &(key, _)| nearest.min(key));
             // Nothing waits, or nothing of it can be seen.
             let last = nearest == f32::INFINITY || f64::from(nearest) > horizon;
@@ -159,21 +159,14 @@ impl RayTracer<'_> {
             }
             // At least one box more, even if its key is 0 or cannot be told from the window's end.
             window = (window.max(nearest) * WINDOW_GROWTH).max(f32::MIN_POSITIVE);
-            horizon = self.begin_window(simd, window, ray, horizon, scratch);
+            horizon = self.begin_window(window, ray, horizon, scratch);
         }
         blender.finish()
     }
 
     /// Visits what waited and begins before `window`; returns the horizon.
     #[inline(always)]
-    fn begin_window<S: Simd>(
-        &self,
-        simd: S,
-        window: f32,
-        ray: &Ray,
-        mut horizon: f64,
-        scratch: &mut RayScratch,
-    ) -> f64 {
+    fn begin_window(&self, window: f32, ray: &Ray, mut horizon: f64, scratch: &mut RayScratch) -> f64 {
         let mut waiting = 0;
         for i in 0..scratch.later.len() {
             let (key, child) = scratch.later[i];
@@ -184,7 +177,7 @@ impl RayTracer<'_> {
             }
             match child {
                 Child::Node(child) => scratch.open.push(child),
-                Child::Gaussian(index) => self.meet_gaussian(simd, ray, index, scratch),
+                Child::Gaussian(index) => scratch.gaussians.push(index),
                 Child::Triangle(index) => horizon = self.meet_triangle(ray, index, horizon, scratch),
             }
         }
@@ -225,27 +218,33 @@ impl RayTracer<'_> {
         true
     }
 
+    /// Collects what the Gaussians met in this window contribute.
     #[inline(always)]
-    fn meet_gaussian<S: Simd>(&self, simd: S, ray: &Ray, index: u32, scratch: &mut RayScratch) {
-        if scratch.responses.add(&self.scene.splats, index, ray.origin) {
-            self.meet_batch(simd, ray, scratch);
-        }
-    }
-
-    /// Collects what the Gaussians in the batch contribute.
-    #[inline(always)]
-    fn meet_batch<S: Simd>(&self, simd: S, ray: &Ray, scratch: &mut RayScratch) {
+    fn meet_gaussians<S: Simd>(&self, simd: S, ray: &Ray, scratch: &mut RayScratch) {
         let near = f64::from(self.settings.t_near);
-        for lane in 0..scratch.responses.evaluate(simd, ray.direction, self.settings.footprint) {
-            let LaneResponse { index, response, mean_from_origin } = scratch.responses.lane(lane);
-            if response.contributes(near) {
+        let RayScratch { gaussians, responses, events, met, .. } = scratch;
+        for indices in gaussians.chunks(BATCH) {
+            for &index in indices {
+                responses.add(&self.scene.splats, index, ray.origin);
+            }
+            let mut contributing = [0; BATCH];
+            let mut count = 0;
+            for lane in 0..responses.evaluate(simd, ray.direction, self.settings.footprint) {
+                let LaneResponse { index, response, mean_from_origin } = responses.lane(lane);
                 let key = match self.settings.order {
                     Order::RayHitDistance => response.distance,
                     Order::CameraDistance => mean_from_origin.length(),
                 };
-                scratch.meet(key, index, Met::Gaussian { index, response });
+                // Written always and kept by the count: whether one contributes cannot be predicted either.
+                contributing[count] = event(key, index, met.len() as u32);
+                count += usize::from(response.contributes(near));
+                met.push(Met::Gaussian { index, response });
             }
+            let collected = events.len() + count;
+            events.extend_from_slice(&contributing);
+            events.truncate(collected);
         }
+        gaussians.clear();
     }
 
     /// Returns the horizon, nearer if the triangle is opaque.
@@ -288,6 +287,37 @@ impl TileTracer for RayTracer<'_> {
         }
     }
 }
+
+/// Appends the lanes of `values` that `mask` has. All eight are written and then cut: no branch, no length to copy.
+#[inline(always)]
+fn append(list: &mut Vec<u32>, values: &[u32; WIDTH], mask: u8) {
+    let order = &MASKED_FIRST[usize::from(mask)];
+    let mut first = [0; WIDTH];
+    for k in 0..WIDTH {
+        first[k] = values[usize::from(order[k]) % WIDTH];
+    }
+    let end = list.len() + mask.count_ones() as usize;
+    list.extend_from_slice(&first);
+    list.truncate(end);
+}
+
+/// By mask: its lanes, from the lowest, and then lane 0.
+const MASKED_FIRST: [[u8; WIDTH]; 256] = {
+    let mut orders = [[0; WIDTH]; 256];
+    let mut mask = 0;
+    while mask < 256 {
+        let (mut lane, mut count) = (0, 0);
+        while lane < WIDTH {
+            if mask >> lane & 1 == 1 {
+                orders[mask][count] = lane as u8;
+                count += 1;
+            }
+            lane += 1;
+        }
+        mask += 1;
+    }
+    orders
+};
 
 /// The numbers of the bits set, from the lowest.
 #[inline(always)]

@@ -13,8 +13,6 @@ const SLAB_SLACK: f32 = 1e-6;
 pub(super) struct Slabs {
     viewpoint: Viewpoint,
     inverse: Vec3,
-    /// Per axis, from where distances to the nearer planes are measured, and to the farther ones: rounded outward.
-    from: [[f32; 2]; 3],
     order: Order,
     /// [`Footprint::reach`].
     reach: f32,
@@ -36,11 +34,7 @@ impl Slabs {
         let inverse = |d: f64| 1.0 / if d.abs() < 1e-20 { 1e-20f32.copysign(d as f32) } else { d as f32 };
         let inverse = Vec3::new(inverse(ray.direction.x), inverse(ray.direction.y), inverse(ray.direction.z));
         let viewpoint = Viewpoint::new(ray.origin);
-        let from = [0, 1, 2].map(|axis| {
-            let (low, high) = (viewpoint.low[axis], viewpoint.high[axis]);
-            if inverse[axis] >= 0.0 { [high, low] } else { [low, high] }
-        });
-        Self { viewpoint, inverse, from, order, reach: footprint.reach() }
+        Self { viewpoint, inverse, order, reach: footprint.reach() }
     }
 
     /// Which of a node's children the ray meets.
@@ -56,17 +50,20 @@ impl Slabs {
         let mut enter = [0.0f32; WIDTH];
         let mut exit = [f32::INFINITY; WIDTH];
         for axis in 0..3 {
-            let ([near_from, far_from], inverse) = (self.from[axis], self.inverse[axis]);
-            let forward = inverse >= 0.0;
-            let near_planes = if forward { &reached.min[axis] } else { &reached.max[axis] };
-            let far_planes = if forward { &reached.max[axis] } else { &reached.min[axis] };
-            // Apart, and with plain comparisons: that is what becomes eight lanes.
+            let (low, high, inverse) = (self.viewpoint.low[axis], self.viewpoint.high[axis], self.inverse[axis]);
+            let (mut to_min, mut to_max) = ([0.0f32; WIDTH], [0.0f32; WIDTH]);
             for k in 0..WIDTH {
-                let near = (near_planes[k] - near_from) * inverse;
+                to_min[k] = (reached.min[axis][k] - high) * inverse;
+            }
+            for k in 0..WIDTH {
+                to_max[k] = (reached.max[axis][k] - low) * inverse;
+            }
+            for k in 0..WIDTH {
+                let near = if to_min[k] < to_max[k] { to_min[k] } else { to_max[k] };
                 enter[k] = if near > enter[k] { near } else { enter[k] };
             }
             for k in 0..WIDTH {
-                let far = (far_planes[k] - far_from) * inverse;
+                let far = if to_min[k] < to_max[k] { to_max[k] } else { to_min[k] };
                 exit[k] = if far < exit[k] { far } else { exit[k] };
             }
         }
@@ -76,13 +73,13 @@ impl Slabs {
             // Of means, which no footprint moves.
             Order::CameraDistance => self.viewpoint.distances(node).map(|distance| distance * (1.0 - SLAB_SLACK)),
         };
-        // An absent child's box runs from +inf to -inf, so that it is left before it is entered.
         let (mut inside, mut behind) = ([0.0; WIDTH], [0.0; WIDTH]);
         for k in 0..WIDTH {
             inside[k] = exit[k] * (1.0 + SLAB_SLACK) - enter[k];
             behind[k] = keys[k] - window;
         }
-        let (hits, begun) = (!sign_bits(inside), sign_bits(behind));
+        let present = node.nodes | node.gaussians | node.triangles;
+        let (hits, begun) = (present & !sign_bits(inside), sign_bits(behind));
         Met { keys, now: hits & begun, later: hits & !begun }
     }
 }
