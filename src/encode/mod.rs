@@ -7,3 +7,4 @@ pub mod latlong;
 pub mod preview;
 pub mod rgbd;
 pub mod slots;
+pub mod tonemap;

@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 pub use crop::Crop;
 pub use footprint::Footprint;
 pub use inputs::{Frame, MeshInput, SplatInput, Transform, parse_numbers};
-pub use outputs::{HdrEncoding, OutputKind, RoughnessCurve};
+pub use outputs::{HdrEncoding, OutputKind, RoughnessCurve, Tonemapper};
 pub use validate::{MAX_FACE_SIZE, MAX_MIPS, MAX_PROBES, MAX_SAMPLES};
 
 /// In which order contributions along a ray are blended (OpenUSD's and KHR_gaussian_splatting's terms).
@@ -182,6 +182,14 @@ pub struct Job {
     /// Stops by which everything written is brighter than traced: radiance times 2 to this power. Default: 0.
     #[schemars(range(min = -32, max = 32))]
     pub exposure: f32,
+    /// The tone mapper of an engine that shows splats without it: everything written is then light that the mapper shows
+    /// as the splats are. Default: none.
+    pub match_tonemapper: Tonemapper,
+    /// Radiance that paper white becomes in a further file, `expanded.exr`, in which what is bright, at least 0.8, is taken
+    /// to have been clipped by the camera; at least 1. Default: none, no such file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("minimum" = 1))]
+    pub highlight_expansion: Option<f32>,
     /// Highest band of the spherical harmonics of each probe: 2 or 3. Default: 2.
     #[schemars(range(min = 2, max = 3))]
     pub sh_degree: u8,
@@ -230,6 +238,8 @@ impl Default for Job {
             roughness_curve: RoughnessCurve::default(),
             hdr_encoding: HdrEncoding::default(),
             exposure: 0.0,
+            match_tonemapper: Tonemapper::default(),
+            highlight_expansion: None,
             sh_degree: 2,
             sh_window: false,
             calibration: false,

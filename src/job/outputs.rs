@@ -58,3 +58,21 @@ pub enum HdrEncoding {
     /// Nine bits per channel and a shared exponent of five: half the size, values up to 65408 and none below 0.
     Rgb9e5,
 }
+
+/// A display transform that an engine applies to meshes and not to splats.
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "kebab-case")]
+pub enum Tonemapper {
+    /// None. The default.
+    #[default]
+    None,
+    /// x / (1 + x).
+    Reinhard,
+    /// Stephen Hill's fit of ACES, without three.js's factor of 1/0.6.
+    Aces,
+    /// AgX as three.js and Filament have it, without a look.
+    Agx,
+    /// Khronos PBR Neutral.
+    PbrNeutral,
+}

@@ -16,6 +16,9 @@ pub const MAX_MIPS: u32 = MAX_FACE_SIZE.ilog2() + 1;
 /// Largest exposure in stops, either way: more leaves the range of half floats.
 const MAX_EXPOSURE: f32 = 32.0;
 
+/// Largest radiance of expanded highlights: what half floats hold.
+const MAX_EXPANSION: f32 = 65504.0;
+
 /// Most probes of one bake; each is a folder.
 pub const MAX_PROBES: usize = 1_000_000;
 
@@ -89,6 +92,11 @@ impl Job {
         require(self.exposure.abs() <= MAX_EXPOSURE, "--exposure", || {
             format!("{} is not between -{MAX_EXPOSURE} and {MAX_EXPOSURE} stops", self.exposure)
         })?;
+        require(
+            self.highlight_expansion.is_none_or(|peak| (1.0..=MAX_EXPANSION).contains(&peak)),
+            "--highlight-expansion",
+            || format!("{:?} is not a radiance between 1 and {MAX_EXPANSION}", self.highlight_expansion),
+        )?;
         require((2..=3).contains(&self.sh_degree), "--sh-degree", || format!("{} is neither 2 nor 3", self.sh_degree))
     }
 
@@ -220,7 +228,7 @@ mod tests {
     #[test]
     fn every_fault_is_an_error_that_names_its_flag() {
         type Fault = (&'static str, fn(&mut Job));
-        let faults: [Fault; 34] = [
+        let faults: [Fault; 35] = [
             ("--splats", |job| job.splats.clear()),
             ("--splats", |job| job.splats[0].path = "".into()),
             ("--splat-transform", |job| job.splats[0].transform.rotation = [0.0; 4]),
@@ -253,6 +261,7 @@ mod tests {
             ("--mips", |job| job.mips = 0),
             ("--exposure", |job| job.exposure = f32::NAN),
             ("--sh-degree", |job| job.sh_degree = 4),
+            ("--highlight-expansion", |job| job.highlight_expansion = Some(0.5)),
             ("--threads", |job| job.threads = usize::MAX),
             ("--face-size", |job| (job.placement.grid, job.face_size) = (Some([100, 10, 100]), 2048)),
         ];
