@@ -247,7 +247,7 @@ fn exrenvmap_turns_the_envmap_into_our_latlong() {
     let folder = tempfile::tempdir().unwrap();
     let (probe, _) = bake(folder.path(), &format!("{CALIBRATION} --outputs envmap"));
     let converted = folder.path().join("latlong.exr");
-    let run = Command::new("exrenvmap").arg("-latlong").arg(probe.join("envmap.exr")).arg(&converted).output();
+    let run = Command::new("exrenvmap").arg("-l").arg(probe.join("envmap.exr")).arg(&converted).output();
     let output = match run {
         Ok(output) => output,
         Err(error) => return println!("skipped: exrenvmap: {error}"),

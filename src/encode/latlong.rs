@@ -70,6 +70,8 @@ fn rounded_to_rgbe(colour: Vec3) -> [f32; 3] {
         return [0.0; 3];
     }
     let unit = (largest.log2().floor() - 7.0).exp2();
+    // Rounding may carry into a ninth bit.
+    let unit = if (largest / unit).round() > 255.0 { 2.0 * unit } else { unit };
     ((colour / unit).round() * unit).to_array()
 }
 

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::FORMAT_VERSION;
 use crate::bake::ProbeStatistics;
-use crate::job::{Job, Pixel};
+use crate::job::{Job, Pixel, Tonemapper};
 use crate::scene::SplatEncoding;
 use crate::scene::bounds::Bounds;
 
@@ -38,7 +38,7 @@ impl Manifest {
             format_version: FORMAT_VERSION,
             generator: concat!("splatprobe ", env!("CARGO_PKG_VERSION")).into(),
             frame: Frame::default(),
-            colour: Colour::new(encoding, job.exposure),
+            colour: Colour::new(encoding, job),
             inputs,
             settings: job.result_settings(),
             probes,
@@ -74,8 +74,11 @@ pub struct Colour {
     pub space: String,
     /// Stops by which radiance is brighter than traced.
     pub exposure: f32,
-    /// Radiance of paper white, the display white of the capture: 2 to the power of the exposure.
+    /// Radiance of paper white, the display white of the capture, before a tone mapper is matched: 2 to the power of the
+    /// exposure.
     pub paper_white: f64,
+    /// Whose inverse everything written went through, so that it shows this light as the splats are.
+    pub match_tonemapper: Tonemapper,
     /// What the blended splat colours were taken to mean. Linear inputs beside display-referred ones were added to linear
     /// light by themselves; each input's report states its own encoding.
     pub splat_encoding: SplatEncoding,
@@ -84,13 +87,15 @@ pub struct Colour {
 }
 
 impl Colour {
-    fn new(splat_encoding: SplatEncoding, exposure: f32) -> Self {
+    fn new(splat_encoding: SplatEncoding, job: &Job) -> Self {
+        let (exposure, match_tonemapper) = (job.exposure, job.match_tonemapper);
         let display_transform = match splat_encoding {
             SplatEncoding::SrgbDisplay => DisplayTransform::Srgb,
             SplatEncoding::LinDisplay | SplatEncoding::LinScene => DisplayTransform::None,
         };
         let paper_white = f64::from(exposure).exp2();
-        Self { space: "lin_rec709".into(), exposure, paper_white, splat_encoding, display_transform }
+        let space = "lin_rec709".into();
+        Self { space, exposure, paper_white, match_tonemapper, splat_encoding, display_transform }
     }
 }
 
@@ -257,6 +262,8 @@ pub enum FileRole {
     /// Linear radiance R, G, B, background included; coverage A, the share of light that the scene itself sent; where
     /// asked for, the mean distance in metres as another layer.
     Radiance,
+    /// Radiance, with what the camera is taken to have clipped made brighter.
+    Expanded,
     /// Linear radiance, prefiltered for reflection by rough surfaces (GGX at N = V = R).
     Specular,
     /// Irradiance over pi by the surface's normal: linear R, G, B.

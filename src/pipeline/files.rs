@@ -32,6 +32,9 @@ const SH_SIZE: u32 = 64;
 /// No distance counts for more than this many diagonals of the influence box (RTXGI: one and a half spacings of probes).
 const MAX_DISTANCE: f64 = 1.5;
 
+/// Share of paper white from which highlights are expanded.
+const KNEE: f32 = 0.8;
+
 /// File names of faces, as engines and tools shorten them.
 const FACE_NAMES: [&str; 6] = ["px", "nx", "py", "ny", "pz", "nz"];
 
@@ -78,6 +81,7 @@ impl<'a> ProbeFiles<'a> {
                 OutputKind::Moments => self.moments(cubemap, distances.as_deref().unwrap_or_default())?,
             }
         }
+        self.job.highlight_expansion.iter().try_for_each(|&peak| self.expanded(cubemap, peak))?;
         Ok(sh)
     }
 
@@ -113,6 +117,22 @@ impl<'a> ProbeFiles<'a> {
             record.face = Some(face.name().into());
         }
         Ok(())
+    }
+
+    /// Radiance whose highlights are brighter: from the knee up to paper white, a gain that rises by the square from 1 to
+    /// `peak`. It guesses; the base files stay as they are.
+    fn expanded(&mut self, radiance: &Cubemap, peak: f32) -> Result<()> {
+        let white = self.job.exposure.exp2();
+        let gain = |largest: f32| {
+            let above = ((largest / white - KNEE) / (1.0 - KNEE)).clamp(0.0, 1.0);
+            1.0 + (peak - 1.0) * above * above
+        };
+        let texels = radiance.texels.iter().map(|&[r, g, b, _]| Vec3::new(r, g, b));
+        let texels: Vec<Vec3> = texels.map(|texel| texel * gain(texel.max_element())).collect();
+        let (name, size) = ("expanded.exr", radiance.face_size);
+        let part = Part::rgb(size as usize, &texels, self.job.pixel);
+        self.clamped_values += write_parts(&self.folder.join(name), vec![part])?;
+        self.add(name, FileRole::Expanded, FileFormat::Exr, Layout::Strip, [size, 6 * size]).map(drop)
     }
 
     fn mips(&mut self, chain: &[RoughnessMip]) -> Result<()> {

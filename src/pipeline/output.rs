@@ -4,10 +4,13 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
+use glam::Vec3;
+
 use super::files::ProbeFiles;
 use crate::bake::{Cubemap, ProbeStatistics};
 use crate::encode::preview::{self, ContactSheet, write_png};
-use crate::job::Job;
+use crate::encode::tonemap;
+use crate::job::{Job, Tonemapper};
 use crate::manifest::{self, FileRecord, Influence, Manifest, ProbeRecord, ShRecord};
 use crate::place::Probe;
 use crate::scene::Bounds;
@@ -95,11 +98,12 @@ impl<'a> Output<'a> {
         Ok(())
     }
 
+    /// Light as it is written: through the inverse of the tone mapper to match, and exposed.
     fn exposed(&self, mut cubemap: Cubemap) -> Cubemap {
-        if self.job.exposure != 0.0 {
-            let factor = self.job.exposure.exp2();
+        let (tonemapper, factor) = (self.job.match_tonemapper, self.job.exposure.exp2());
+        if tonemapper != Tonemapper::None || factor != 1.0 {
             for [rgb @ .., _] in &mut cubemap.texels {
-                *rgb = rgb.map(|value| value * factor);
+                *rgb = (tonemap::inverse(tonemapper, Vec3::from(*rgb)) * factor).to_array();
             }
         }
         cubemap
