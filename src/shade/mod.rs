@@ -1,5 +1,6 @@
 //! What leaves a surface: textures and materials.
 
+pub mod bsdf;
 pub mod texture;
 mod unlit;
 
