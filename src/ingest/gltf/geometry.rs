@@ -1,6 +1,6 @@
 //! Primitives to triangles: vertex attributes, topology, winding, and what is dropped.
 
-use glam::{DAffine3, DMat3, DVec3, Vec2, Vec3, Vec4};
+use glam::{DAffine3, DMat3, DVec3, DVec4, Vec2, Vec3, Vec4};
 use gltf::json::accessor::Type;
 use gltf::json::mesh::{Mode, Primitive, Semantic};
 use gltf::json::validation::Checked;
@@ -21,9 +21,13 @@ pub struct Geometry {
     pub positions: Vec<DVec3>,
     /// One per vertex; zero where the file has none.
     pub normals: Vec<DVec3>,
-    uv: [Vec<[f32; 2]>; 2],
+    /// Texture coordinates, sets 0 and 1; empty where the file has none.
+    pub uv: [Vec<[f32; 2]>; 2],
+    /// Tangents and the signs of the bitangents, one per vertex or none at all. Only read where a material needs them.
+    pub tangents: Vec<DVec4>,
+    /// Indices of vertices.
+    pub triangles: Vec<[u32; 3]>,
     colours: Vec<[f32; 4]>,
-    triangles: Vec<[u32; 3]>,
 }
 
 /// The accessor of an attribute, if the primitive has it.
@@ -60,9 +64,31 @@ impl Geometry {
             positions: vectors(positions),
             normals: if normals.is_empty() { vec![DVec3::ZERO; count] } else { vectors(normals) },
             uv,
-            colours,
+            tangents: Vec::new(),
             triangles: triangles(mode, &corners),
+            colours,
         }))
+    }
+
+    /// Reads the primitive's tangents, if it has any. glTF ignores those of a primitive without normals.
+    pub fn read_tangents(&mut self, asset: &Asset, primitive: &Primitive, here: &str) -> Result<()> {
+        let count = self.positions.len();
+        if attribute(primitive, Semantic::Normals).is_some() {
+            let tangents = optional::<4>(asset, primitive, Semantic::Tangents, &[Type::Vec4], count, here)?;
+            self.tangents = tangents.into_iter().map(|tangent| DVec4::from(tangent.map(f64::from))).collect();
+        }
+        Ok(())
+    }
+
+    /// Appends a copy of vertex `v`, without tangent; gives its index.
+    pub fn repeat_vertex(&mut self, v: usize) -> u32 {
+        self.positions.push(self.positions[v]);
+        self.normals.push(self.normals[v]);
+        self.uv.iter_mut().filter(|uv| !uv.is_empty()).for_each(|uv| uv.push(uv[v]));
+        if let Some(&colour) = self.colours.get(v) {
+            self.colours.push(colour);
+        }
+        self.positions.len() as u32 - 1
     }
 
     /// Appends the geometry once per placement; see [`Geometry::append_one`].
@@ -122,6 +148,10 @@ impl Geometry {
                 *appended_as[v].get_or_insert_with(|| {
                     meshes.positions.push(stored[v]);
                     meshes.attributes.push(self.attributes(v, normal_map));
+                    if let Some(&tangent) = self.tangents.get(v) {
+                        meshes.tangents.resize(meshes.positions.len() - 1, Vec4::ZERO);
+                        meshes.tangents.push(placed_tangent(tangent, linear, mirrored));
+                    }
                     meshes.positions.len() as u32 - 1
                 })
             }));
@@ -138,6 +168,14 @@ impl Geometry {
         let normal = (normal_map * self.normals[v]).normalize_or_zero().as_vec3();
         VertexAttributes { normal, uv, colour }
     }
+}
+
+/// A tangent under a linear map. It moves with the surface, and so does the bitangent; where the map mirrors, that stands
+/// on the other side of normal and tangent.
+fn placed_tangent(tangent: DVec4, linear: DMat3, mirrored: bool) -> Vec4 {
+    let along = (linear * tangent.truncate()).normalize_or_zero().as_vec3();
+    let sign = if (tangent.w < 0.0) != mirrored { -1.0 } else { 1.0 };
+    if along.is_finite() { along.extend(sign) } else { Vec4::ZERO }
 }
 
 /// An attribute that may be absent (then empty), with as many elements as there are positions.
