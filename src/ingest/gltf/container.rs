@@ -9,6 +9,7 @@ use gltf::json::{Index, Root};
 use serde::Deserialize;
 use serde_json::Value;
 
+use super::compressed;
 use super::material_json::MaterialJson;
 use super::primitives::SplatPrimitives;
 use super::resource::{self, Bytes};
@@ -25,7 +26,7 @@ pub fn is_gltf(bytes: &[u8]) -> bool {
 }
 
 /// Extensions that are implemented.
-const SUPPORTED: [&str; 21] = [
+const SUPPORTED: [&str; 23] = [
     "KHR_materials_anisotropy",
     "KHR_materials_clearcoat",
     "KHR_materials_dispersion",
@@ -42,6 +43,8 @@ const SUPPORTED: [&str; 21] = [
     "KHR_lights_punctual",
     "KHR_texture_transform",
     "EXT_texture_webp",
+    "EXT_meshopt_compression",
+    "KHR_draco_mesh_compression",
     "KHR_mesh_quantization",
     "EXT_mesh_gpu_instancing",
     "KHR_gaussian_splatting",
@@ -89,6 +92,7 @@ impl Asset {
     pub fn read(path: &Path) -> Result<Self> {
         let (mut asset, glb_chunk) = Self::parse(path)?;
         asset.buffers = resource::read_buffers(&asset, glb_chunk)?;
+        compressed::unpack(&mut asset)?;
         Ok(asset)
     }
 

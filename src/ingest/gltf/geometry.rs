@@ -13,7 +13,7 @@ use crate::Result;
 use crate::scene::mesh::{Meshes, VertexAttributes};
 
 /// Most vertices and most triangles of a scene: instances multiply what a small file holds.
-const MAX_ELEMENTS: usize = 1 << 27;
+pub const MAX_ELEMENTS: usize = 1 << 27;
 
 /// A primitive's vertices, in the coordinates that its file gives them in, and its triangles.
 pub struct Geometry {
@@ -45,7 +45,6 @@ impl Geometry {
         };
         let position = attribute(primitive, Semantic::Positions);
         let position = position.ok_or_else(|| asset.invalid(here, "it has no POSITION"))?;
-        refuse_draco(asset, primitive, position, here)?;
         let positions: Vec<[f32; 3]> = read_vectors(asset, position, &[Type::Vec3], &format!("{here} POSITION"))?;
         let count = positions.len();
         let normals = optional::<3>(asset, primitive, Semantic::Normals, &[Type::Vec3], count, here)?;
@@ -194,16 +193,6 @@ fn optional<const N: usize>(
         return Err(asset.invalid(here, format!("it has {} elements for {count} positions", values.len())));
     }
     Ok(values)
-}
-
-/// A file may use Draco without requiring it; then the plain accessors must be there.
-fn refuse_draco(asset: &Asset, primitive: &Primitive, position: Index<Accessor>, here: &str) -> Result<()> {
-    let name = "KHR_draco_mesh_compression";
-    let compressed = primitive.extensions.as_ref().is_some_and(|all| all.others.contains_key(name));
-    if compressed && asset.get(position, here)?.buffer_view.is_none() {
-        return Err(asset.unsupported(format!("{name}, the only form of {here}; export it without")));
-    }
-    Ok(())
 }
 
 /// Triangles of a list, strip or fan of corners (glTF 2.0, section 3.7.2.1). Corners left over make none.

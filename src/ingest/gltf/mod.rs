@@ -4,12 +4,14 @@
 //! extensions that are read here, and trust what a hostile file says. What is read instead is checked index by index.
 
 mod accessor;
+mod compressed;
 mod container;
 mod geometry;
 mod image;
 mod light;
 mod material;
 mod material_json;
+mod meshopt;
 mod nodes;
 mod pose;
 mod primitives;
