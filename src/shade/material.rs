@@ -260,3 +260,151 @@ impl Basis {
         (tangent, if bitangent.dot(self.bitangent) < 0.0 { -bitangent } else { bitangent })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use glam::{DVec3, Mat3};
+
+    use super::*;
+    use crate::scene::material::Channel;
+    use crate::scene::mesh::VertexAttributes;
+    use crate::scene::texture::{Encoding, Filter, Image, Texture, Wrap};
+
+    /// The triangle (0, 0), (1, 0), (0, 1) that faces +z, with u along x and v against y, tangents, and one texture.
+    fn meshes(material: Material, encoding: Encoding, size: u32, texel: impl Fn(u32, u32) -> [u8; 4]) -> Meshes {
+        let texels: Vec<[u8; 4]> = (0..size * size).map(|i| texel(i % size, i / size)).collect();
+        let image = Arc::new(Image::new(size, size, encoding, || Ok(texels)));
+        let positions = vec![Vec3::ZERO, Vec3::X, Vec3::Y];
+        let attributes = positions.iter().map(|p| VertexAttributes {
+            normal: Vec3::Z,
+            uv: [Vec2::new(p.x, 1.0 - p.y); 2],
+            ..VertexAttributes::default()
+        });
+        Meshes {
+            attributes: attributes.collect(),
+            positions,
+            tangents: vec![Vec4::new(1.0, 0.0, 0.0, 1.0); 3],
+            triangles: vec![[0, 1, 2]],
+            triangle_materials: vec![0],
+            materials: vec![material],
+            textures: vec![Texture { image, wrap: [Wrap::Repeat; 2], filter: Filter::default() }],
+        }
+    }
+
+    const TEXTURE: TextureRef = TextureRef { texture: 0, uv_set: 0, uv_from_uv: Mat3::IDENTITY };
+
+    fn ray(direction: DVec3) -> Ray {
+        Ray { origin: -direction, direction: direction.normalize() }
+    }
+
+    fn point_of<'a>(meshes: &'a Meshes, ray: &Ray, width: f32) -> SurfacePoint<'a> {
+        let front = ray.direction.z < 0.0;
+        let hit = SurfaceHit { triangle: 0, barycentric: Vec2::splat(0.25), front, distance: 1.0 };
+        SurfacePoint::new(meshes, ray, &hit, width)
+    }
+
+    fn seen(meshes: &Meshes, direction: DVec3) -> MaterialPoint {
+        point_of(meshes, &ray(direction), 0.0).evaluate()
+    }
+
+    fn is_orthonormal(point: &MaterialPoint) -> bool {
+        let [n, t, b] = [point.normal, point.tangent, point.bitangent];
+        [n, t, b].iter().all(|v| (v.length() - 1.0).abs() < 1e-5)
+            && [n.dot(t), n.dot(b), t.dot(b)].iter().all(|cosine| cosine.abs() < 1e-5)
+    }
+
+    #[test]
+    fn a_plain_material_gives_gltfs_defaults_and_the_surfaces_own_directions() {
+        let meshes = meshes(Material::default(), Encoding::Linear, 1, |_, _| [0; 4]);
+        for (direction, normal) in [(DVec3::NEG_Z, Vec3::Z), (DVec3::Z, Vec3::NEG_Z)] {
+            let point = seen(&meshes, direction);
+            assert_eq!(point.parameters, Parameters::default());
+            assert_eq!((point.coverage, point.occlusion, point.emission), (1.0, 1.0, LinearRgb(Vec3::ZERO)));
+            assert_eq!([point.normal, point.clearcoat_normal, point.geometric_normal], [normal; 3]);
+            assert_eq!(point.front, normal == Vec3::Z);
+            assert!(is_orthonormal(&point));
+        }
+        assert!(!meshes.textures[0].image.is_decoded(), "nothing asked for the texture");
+    }
+
+    #[test]
+    fn normal_maps_tilt_toward_tangent_and_bitangent_and_turn_round_with_the_back() {
+        // (1, 0.5, 0.5) stored: x = 1, y = 0, z = 0 but for rounding, 1/255 each.
+        let tilted = |texel: [u8; 4], scale: f32, direction: DVec3| {
+            let normal = Some(NormalMap { texture: TEXTURE, scale });
+            seen(&meshes(Material { normal, ..Material::default() }, Encoding::Linear, 1, |_, _| texel), direction)
+        };
+        let diagonal = tilted([255, 128, 255, 255], 1.0, DVec3::NEG_Z);
+        assert!(diagonal.normal.abs_diff_eq(Vec3::new(1.0, 0.0, 1.0).normalize(), 0.005), "{}", diagonal.normal);
+        assert!(is_orthonormal(&diagonal) && diagonal.tangent.x > 0.0 && diagonal.bitangent.y > 0.99);
+        assert_eq!(diagonal.clearcoat_normal, Vec3::Z, "a coat without normals follows the geometry");
+        let up = tilted([128, 255, 255, 255], 1.0, DVec3::NEG_Z).normal;
+        assert!(up.abs_diff_eq(Vec3::new(0.0, 1.0, 1.0).normalize(), 0.005), "green is up in the image: {up}");
+        let flatter = tilted([255, 128, 255, 255], 0.5, DVec3::NEG_Z).normal;
+        assert!(flatter.abs_diff_eq(Vec3::new(0.5, 0.0, 1.0).normalize(), 0.005), "{flatter}");
+        let back = tilted([255, 128, 255, 255], 1.0, DVec3::Z);
+        assert!(back.normal.abs_diff_eq(-diagonal.normal, 1e-6), "{}", back.normal);
+        let nothing = tilted([127, 127, 127, 255], 0.0, DVec3::NEG_Z).normal;
+        assert!(nothing.is_normalized(), "{nothing}");
+    }
+
+    #[test]
+    fn normals_of_an_inside_out_mesh_point_to_the_ray_all_the_same() {
+        let mut meshes = meshes(Material::default(), Encoding::Linear, 1, |_, _| [0; 4]);
+        meshes.attributes.iter_mut().for_each(|vertex| vertex.normal = Vec3::NEG_Z);
+        assert_eq!(seen(&meshes, DVec3::NEG_Z).normal, Vec3::Z);
+        meshes.attributes.iter_mut().for_each(|vertex| vertex.normal = Vec3::ZERO);
+        assert_eq!(seen(&meshes, DVec3::Z).normal, Vec3::NEG_Z, "without normals the triangle's own serves");
+    }
+
+    #[test]
+    fn maps_take_their_channel_and_stay_in_range() {
+        let map = |offset, factor, channel| ScalarMap { offset, factor, texture: Some((TEXTURE, channel)) };
+        let material = Material {
+            metallic: map(0.0, 0.5, Channel::B),
+            roughness: map(1.0, -1.0, Channel::A),
+            occlusion: map(0.25, 0.75, Channel::R),
+            transmission: map(0.0, 9.0, Channel::G),
+            anisotropy: Anisotropy { strength: 0.5, rotation: 0.25, texture: Some(TEXTURE) },
+            ..Material::default()
+        };
+        let meshes = meshes(material, Encoding::Linear, 1, |_, _| [51, 255, 102, 204]);
+        let point = seen(&meshes, DVec3::NEG_Z);
+        let found = point.parameters;
+        let close = |a: f32, b: f32| (a - b).abs() < 1e-6;
+        assert!(close(found.metallic, 0.2) && close(found.roughness, 0.2) && close(point.occlusion, 0.4));
+        assert_eq!(found.transmission, 1.0);
+        // Direction (-0.6, 1), strength 0.4 of the texture.
+        assert!(close(found.anisotropy_strength, 0.2));
+        assert!(close(found.anisotropy_rotation, 0.25 + 1.0f32.atan2(-0.6)));
+    }
+
+    #[test]
+    fn a_ray_wider_than_the_texture_sees_its_mean_and_a_thin_one_its_texels() {
+        let material = Material { base_colour_texture: Some(TEXTURE), ..Material::default() };
+        let checker = |x: u32, y: u32| if (x + y).is_multiple_of(2) { [255; 4] } else { [0, 0, 0, 255] };
+        let meshes = meshes(material, Encoding::Srgb, 64, checker);
+        let seen = |direction: DVec3, width: f32| {
+            point_of(&meshes, &ray(direction), width).base_colour_and_coverage().0.x
+        };
+        for direction in [DVec3::NEG_Z, DVec3::new(1.0, 0.3, -1.0), DVec3::new(1.0, 0.0, -1e-6)] {
+            for width in [0.2, 1.0, 1e3] {
+                let mean = seen(direction, width);
+                assert!((mean - 0.5).abs() < 0.005, "{direction} {width}: {mean}");
+            }
+        }
+        assert!((seen(DVec3::NEG_Z, 1e-6) - seen(DVec3::NEG_Z, 0.0)).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_slanted_ray_cuts_an_ellipse_as_long_as_its_width_over_the_cosine() {
+        let meshes = meshes(Material::default(), Encoding::Srgb, 1, |_, _| [0; 4]);
+        // The corners lie at distance 1 along x and y: barycentric weights are coordinates.
+        let point = point_of(&meshes, &ray(DVec3::new(0.0, 3f64.sqrt(), -1.0)), 0.5);
+        let [onward, sideways] = point.area.map(Vec2::abs);
+        assert!(onward.abs_diff_eq(Vec2::new(0.0, 1.0), 1e-6), "60 degrees double the length: {onward}");
+        assert!(sideways.abs_diff_eq(Vec2::new(0.5, 0.0), 1e-6), "{sideways}");
+    }
+}

@@ -213,6 +213,8 @@ impl Conversion<'_> {
         let (pbr, all) = (&source.pbr_metallic_roughness, &source.extensions);
         let metal_rough = &pbr.metallic_roughness_texture;
         let slot = "metallicRoughnessTexture";
+        let metallic = self.factor(pbr.metallic_factor, "metallicFactor")?;
+        let roughness = self.factor(pbr.roughness_factor, "roughnessFactor")?;
         let iridescence = &all.iridescence;
         let thinnest = match iridescence.iridescence_thickness_texture {
             Some(_) => self.factor(iridescence.iridescence_thickness_minimum, "iridescenceThicknessMinimum")?,
@@ -228,8 +230,8 @@ impl Conversion<'_> {
         Ok(Material {
             base_colour: self.colour_and_alpha(pbr.base_color_factor, "baseColorFactor")?,
             base_colour_texture: self.colour_texture(&pbr.base_color_texture, "baseColorTexture")?,
-            metallic: self.map(pbr.metallic_factor, metal_rough, slot, Channel::B)?,
-            roughness: self.map(pbr.roughness_factor, metal_rough, slot, Channel::G)?,
+            metallic: self.scalar(metallic, metal_rough, slot, Channel::B)?,
+            roughness: self.scalar(roughness, metal_rough, slot, Channel::G)?,
             ior: self.index_of_refraction(all.ior.ior, "ior", 0.0)?,
             specular: self.map(all.specular.specular_factor, &all.specular.specular_texture, "specularTexture", Channel::A)?,
             specular_colour: ColourMap {
