@@ -3,6 +3,8 @@
 pub mod gltf;
 
 mod gather;
+mod geometry;
+mod image;
 mod ksplat;
 mod ply;
 mod report;

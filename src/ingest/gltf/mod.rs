@@ -21,13 +21,13 @@ use gltf::json::{Index, Node};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::geometry::DroppedTriangles;
 use crate::Result;
 use crate::job::MeshInput;
 use crate::scene::Meshes;
 use crate::scene::bounds::Bounds;
 
 use container::{Asset, place};
-use geometry::Geometry;
 use material::Materials;
 use nodes::Hierarchy;
 
@@ -62,16 +62,6 @@ pub struct MeshReport {
     /// Box around the triangles, in metres in the world; absent without triangles.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bounds: Option<Bounds>,
-}
-
-/// Triangles that were left out, by reason.
-#[derive(Debug, Default, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "camelCase")]
-pub struct DroppedTriangles {
-    /// All corners on one line.
-    pub zero_area: usize,
-    /// A corner that is not a number, or too far away for f32.
-    pub non_finite: usize,
 }
 
 /// What the scene of a glTF file holds.
@@ -160,7 +150,7 @@ impl Loader<'_> {
                 continue;
             }
             let here = format!("{mesh_place}/primitives/{i}");
-            let Some(mut geometry) = Geometry::read(self.asset, primitive, &here)? else {
+            let Some(mut geometry) = geometry::read(self.asset, primitive, &here)? else {
                 self.skipped_primitives += 1;
                 continue;
             };
@@ -169,7 +159,7 @@ impl Loader<'_> {
                 pose::skin(self.asset, &mut geometry, primitive, file_from_joints, &here)?;
             }
             let material = self.materials.get(self.asset, primitive.material, &here, self.meshes)?;
-            geometry.append(self.asset, &stored_from_instances, material, self.meshes, &mut self.dropped)?;
+            geometry.append(&self.asset.path, &stored_from_instances, material, self.meshes, &mut self.dropped)?;
         }
         Ok(())
     }
