@@ -6,6 +6,7 @@ use glam::{DAffine3, DMat3, DVec3, Vec2, Vec3, Vec4};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::scene::bounds::Bounds;
 use crate::scene::mesh::{Meshes, VertexAttributes};
 use crate::{Error, Result};
 
@@ -111,6 +112,14 @@ impl Geometry {
         let normal = (normal_map * self.normals[v]).normalize_or_zero().as_vec3();
         VertexAttributes { normal, uv, colour }
     }
+}
+
+/// The box, in the world, of the vertices of `meshes` from `first_vertex` on.
+pub fn bounds(meshes: &Meshes, first_vertex: usize, origin: DVec3) -> Option<Bounds> {
+    let positions = &meshes.positions[first_vertex..];
+    let first = positions.first()?;
+    let (min, max) = positions.iter().fold((*first, *first), |(min, max), &p| (min.min(p), max.max(p)));
+    Some(Bounds { min: origin + min.as_dvec3(), max: origin + max.as_dvec3() })
 }
 
 /// Twice the area of a triangle.

@@ -79,8 +79,16 @@ pub fn inspect(path: &Path) -> Result<SceneReport> {
 /// All mesh inputs, merged, with positions relative to `origin`.
 fn load_meshes(inputs: &[MeshInput], origin: DVec3) -> Result<(Meshes, Vec<MeshReport>)> {
     let mut meshes = Meshes::default();
-    let reports = inputs.iter().map(|input| gltf::load(input, origin, &mut meshes)).collect::<Result<_>>()?;
+    let reports = inputs.iter().map(|input| load_mesh(input, origin, &mut meshes)).collect::<Result<_>>()?;
     Ok((meshes, reports))
+}
+
+/// The meshes of one input, of whichever format its first bytes show.
+fn load_mesh(input: &MeshInput, origin: DVec3, meshes: &mut Meshes) -> Result<MeshReport> {
+    match usd::is_usd(&map(&input.path)?) {
+        true => usd::load(input, origin, meshes),
+        false => gltf::load(input, origin, meshes),
+    }
 }
 
 /// All mesh inputs, merged, and an origin for a scene that has nothing else in it.

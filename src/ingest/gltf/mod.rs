@@ -21,7 +21,8 @@ use gltf::json::{Index, Node};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::geometry::DroppedTriangles;
+use super::geometry::{DroppedTriangles, bounds};
+use super::requests::Contents;
 use crate::Result;
 use crate::job::MeshInput;
 use crate::scene::Meshes;
@@ -59,16 +60,12 @@ pub struct MeshReport {
     pub extensions_used: Vec<String>,
     /// Those of them that were passed over.
     pub extensions_ignored: Vec<String>,
+    /// What is read in another way than the file means, or left out, each with the first place that it concerns.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub notes: Vec<String>,
     /// Box around the triangles, in metres in the world; absent without triangles.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bounds: Option<Bounds>,
-}
-
-/// What the scene of a glTF file holds.
-#[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Contents {
-    pub splats: bool,
-    pub meshes: bool,
 }
 
 /// What the scene called `scene`, or the default one, of the file at `path` holds. Buffers are not read.
@@ -117,6 +114,7 @@ pub fn load(input: &MeshInput, origin: DVec3, meshes: &mut Meshes) -> Result<Mes
         materials: materials.materials_in_use(),
         textures: materials.textures_in_use(),
         extensions_ignored: asset.ignored_extensions(),
+        notes: Vec::new(),
         bounds: bounds(meshes, first_vertex, origin),
         scene: hierarchy.scene,
         extensions_used: asset.root.extensions_used,
@@ -175,11 +173,4 @@ impl Loader<'_> {
         let instances = nodes::node_from_instances(self.asset, node, here)?;
         Ok(instances.into_iter().map(|node_from_instance| stored_from_node * node_from_instance).collect())
     }
-}
-
-fn bounds(meshes: &Meshes, first_vertex: usize, origin: DVec3) -> Option<Bounds> {
-    let positions = &meshes.positions[first_vertex..];
-    let first = positions.first()?;
-    let (min, max) = positions.iter().fold((*first, *first), |(min, max), &p| (min.min(p), max.max(p)));
-    Some(Bounds { min: origin + min.as_dvec3(), max: origin + max.as_dvec3() })
 }
