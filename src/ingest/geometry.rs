@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use glam::{DAffine3, DMat3, DVec3, Vec2, Vec3, Vec4};
+use glam::{DAffine3, DMat3, DVec3, DVec4, Vec2, Vec3, Vec4};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -30,8 +30,10 @@ pub struct Geometry {
     pub positions: Vec<DVec3>,
     /// One per vertex; zero where the file has none.
     pub normals: Vec<DVec3>,
-    /// Sets 0 and 1: one per vertex, or empty.
+    /// Texture coordinates, sets 0 and 1: one per vertex, or empty.
     pub uv: [Vec<[f32; 2]>; 2],
+    /// Tangents and the signs of the bitangents, one per vertex or none at all. Only there where a material needs them.
+    pub tangents: Vec<DVec4>,
     /// Linear, with alpha: one per vertex, or empty.
     pub colours: Vec<[f32; 4]>,
     /// Each of three vertices, all of which there are.
@@ -39,6 +41,17 @@ pub struct Geometry {
 }
 
 impl Geometry {
+    /// Appends a copy of vertex `v`, without tangent; gives its index.
+    pub fn repeat_vertex(&mut self, v: usize) -> u32 {
+        self.positions.push(self.positions[v]);
+        self.normals.push(self.normals[v]);
+        self.uv.iter_mut().filter(|uv| !uv.is_empty()).for_each(|uv| uv.push(uv[v]));
+        if let Some(&colour) = self.colours.get(v) {
+            self.colours.push(colour);
+        }
+        self.positions.len() as u32 - 1
+    }
+
     /// Appends the geometry once per placement; see [`Geometry::append_one`].
     ///
     /// Refuses what would pass [`MAX_ELEMENTS`], in the name of `path`, before it computes or stores anything.
@@ -96,6 +109,10 @@ impl Geometry {
                 *appended_as[v].get_or_insert_with(|| {
                     meshes.positions.push(stored[v]);
                     meshes.attributes.push(self.attributes(v, normal_map));
+                    if let Some(&tangent) = self.tangents.get(v) {
+                        meshes.tangents.resize(meshes.positions.len() - 1, Vec4::ZERO);
+                        meshes.tangents.push(placed_tangent(tangent, linear, mirrored));
+                    }
                     meshes.positions.len() as u32 - 1
                 })
             }));
@@ -112,6 +129,14 @@ impl Geometry {
         let normal = (normal_map * self.normals[v]).normalize_or_zero().as_vec3();
         VertexAttributes { normal, uv, colour }
     }
+}
+
+/// A tangent under a linear map. It moves with the surface, and so does the bitangent; where the map mirrors, that stands
+/// on the other side of normal and tangent.
+fn placed_tangent(tangent: DVec4, linear: DMat3, mirrored: bool) -> Vec4 {
+    let along = (linear * tangent.truncate()).normalize_or_zero().as_vec3();
+    let sign = if (tangent.w < 0.0) != mirrored { -1.0 } else { 1.0 };
+    if along.is_finite() { along.extend(sign) } else { Vec4::ZERO }
 }
 
 /// The box, in the world, of the vertices of `meshes` from `first_vertex` on.

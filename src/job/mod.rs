@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 
 pub use crop::Crop;
 pub use footprint::Footprint;
-pub use inputs::{Frame, MeshInput, SplatInput, Transform, parse_numbers};
+pub use inputs::{Frame, MeshInput, MissingTexture, SplatInput, Transform, parse_numbers};
 pub use validate::{MAX_FACE_SIZE, MAX_PROBES, MAX_SAMPLES};
 
 /// In which order contributions along a ray are blended (OpenUSD's and KHR_gaussian_splatting's terms).

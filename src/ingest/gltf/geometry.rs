@@ -1,6 +1,6 @@
 //! Primitives to triangles: vertex attributes and topology.
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, DVec4, Vec3};
 use gltf::json::accessor::Type;
 use gltf::json::mesh::{Mode, Primitive, Semantic};
 use gltf::json::validation::Checked;
@@ -44,9 +44,20 @@ pub fn read(asset: &Asset, primitive: &Primitive, here: &str) -> Result<Option<G
         positions: vectors(positions),
         normals: if normals.is_empty() { vec![DVec3::ZERO; count] } else { vectors(normals) },
         uv,
-        colours,
+        tangents: Vec::new(),
         triangles: triangles(mode, &corners),
+        colours,
     }))
+}
+
+/// Reads the primitive's tangents, if it has any. glTF ignores those of a primitive without normals.
+pub fn read_tangents(asset: &Asset, primitive: &Primitive, geometry: &mut Geometry, here: &str) -> Result<()> {
+    let count = geometry.positions.len();
+    if attribute(primitive, Semantic::Normals).is_some() {
+        let tangents = optional::<4>(asset, primitive, Semantic::Tangents, &[Type::Vec4], count, here)?;
+        geometry.tangents = tangents.into_iter().map(|tangent| DVec4::from(tangent.map(f64::from))).collect();
+    }
+    Ok(())
 }
 
 /// An attribute that may be absent (then empty), with as many elements as there are positions.

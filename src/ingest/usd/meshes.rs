@@ -7,16 +7,18 @@ use glam::{DAffine3, DVec3};
 use openusd::usd::Prim;
 
 use super::instancer::{Instances, instances};
+use super::light::{self, Found};
 use super::material::Materials;
 use super::mesh::Mesh;
 use super::walk::Below;
 use super::{OpenedStage, with_stage};
 use crate::error::{Error, Result};
-use crate::ingest::geometry::DroppedTriangles;
+use crate::ingest::geometry::{DroppedTriangles, bounds};
 use crate::ingest::gltf::MeshReport;
 use crate::ingest::requests::Contents;
+use crate::ingest::tangents;
 use crate::job::MeshInput;
-use crate::scene::Meshes;
+use crate::scene::{Light, Meshes};
 
 /// So many times may a file place its meshes by instancers, or once for each of its bytes: instancers of instancers multiply
 /// what a small file holds.
@@ -39,7 +41,7 @@ pub fn contents(path: &Path) -> Result<Contents> {
         stage.walk(|prim, _| {
             match stage.kind(prim)?.as_str() {
                 "ParticleField3DGaussianSplat" => contents.splats = true,
-                "Mesh" | "PointInstancer" => contents.meshes = true,
+                "Mesh" | "PointInstancer" | "DistantLight" | "SphereLight" => contents.meshes = true,
                 _ => {}
             }
             Ok(Below::Visit)
@@ -48,52 +50,64 @@ pub fn contents(path: &Path) -> Result<Contents> {
     })
 }
 
-/// Appends the triangles of the stage of `input`, with their materials and textures, to `meshes`.
+/// Appends the triangles of the stage of `input`, with their materials and textures, to `meshes`, and its lights to `lights`.
 ///
 /// Transforms are composed in f64; positions are stored relative to `origin` (world, metres). Values that change over time
-/// are read at their first sample. On an error `meshes` may hold a part of the file.
+/// are read at their first sample. On an error `meshes` and `lights` may hold a part of the file.
 ///
 /// # Errors
 /// [`Error::Request`] when the input names a scene, which USD has none of; [`Error::Invalid`] when the stage cannot be
 /// composed or an attribute does not fit; [`Error::Unsupported`] for what is too large.
-pub fn load(input: &MeshInput, origin: DVec3, meshes: &mut Meshes) -> Result<MeshReport> {
-    if input.scene.is_some() {
-        let why = format!("{} is USD, which has no scenes: leave it out", input.path.display());
-        return Err(Error::request("scene", why));
+pub fn load(input: &MeshInput, origin: DVec3, meshes: &mut Meshes, lights: &mut Vec<Light>) -> Result<MeshReport> {
+    for (field, given) in [("scene", &input.scene), ("variant", &input.variant)] {
+        if given.is_some() {
+            let why =
+                format!("{} is USD, which has no such thing as glTF's {field}s: leave it out", input.path.display());
+            return Err(Error::request(field, why));
+        }
     }
     with_stage(&input.path, |stage| {
         let canonical_from_file = DAffine3::from_mat3(stage.frame.canonical_from_file());
         let world_from_file = input.transform.world_from_file() * canonical_from_file;
-        let (first_vertex, first_triangle) = (meshes.positions.len(), meshes.triangles.len());
+        let (first_vertex, first_triangle, first_light) =
+            (meshes.positions.len(), meshes.triangles.len(), lights.len());
         let bytes = std::fs::metadata(stage.path).map_err(|source| Error::read(stage.path, source))?.len();
+        let stored_from_file = [DAffine3::from_translation(-origin) * world_from_file];
         let mut loader = Loader {
             stage,
+            stage_unit: light::mean_scale(world_from_file) * stage.metres_per_unit,
             most_placed: usize::try_from(bytes).unwrap_or(usize::MAX).max(MIN_PLACED),
             placed: 0,
             instancers: Vec::new(),
-            materials: Materials::default(),
+            materials: Materials::new(input.missing_texture),
             dropped: DroppedTriangles::default(),
             prims: 0,
             skipped_primitives: 0,
+            dark_lights: 0,
             notes: Notes::default(),
             meshes,
+            lights,
         };
-        let stored_from_file = [DAffine3::from_translation(-origin) * world_from_file];
         stage.walk(|prim, file_from_prim| loader.append(prim, file_from_prim, &stored_from_file))?;
         stage.check_composition()?;
+        let Loader { materials, dropped, prims, skipped_primitives, dark_lights, notes, .. } = loader;
         Ok(MeshReport {
             path: input.path.clone(),
             scene: None,
-            nodes: loader.prims,
-            dropped_triangles: loader.dropped,
-            skipped_primitives: loader.skipped_primitives,
-            materials: loader.materials.materials_in_use(),
-            textures: loader.materials.textures_in_use(),
+            nodes: prims,
+            dropped_triangles: dropped,
+            skipped_primitives,
+            materials: materials.materials_in_use(),
+            variants: Vec::new(),
+            textures: materials.textures_in_use(),
+            replaced_images: materials.into_replaced_images(),
+            lights: lights.len() - first_light,
+            dark_lights,
             extensions_used: Vec::new(),
             extensions_ignored: Vec::new(),
-            notes: loader.notes.lines(),
+            notes: notes.lines(),
             triangles: meshes.triangles.len() - first_triangle,
-            bounds: crate::ingest::geometry::bounds(meshes, first_vertex, origin),
+            bounds: bounds(meshes, first_vertex, origin),
         })
     })
 }
@@ -101,6 +115,8 @@ pub fn load(input: &MeshInput, origin: DVec3, meshes: &mut Meshes) -> Result<Mes
 /// One pass over the prims of a stage.
 struct Loader<'a> {
     stage: &'a OpenedStage<'a>,
+    /// A unit of the stage in metres in the world.
+    stage_unit: f64,
     most_placed: usize,
     placed: usize,
     /// Those whose prototypes are being read.
@@ -109,8 +125,10 @@ struct Loader<'a> {
     dropped: DroppedTriangles,
     prims: usize,
     skipped_primitives: usize,
+    dark_lights: usize,
     notes: Notes,
     meshes: &'a mut Meshes,
+    lights: &'a mut Vec<Light>,
 }
 
 impl Loader<'_> {
@@ -130,9 +148,28 @@ impl Loader<'_> {
             kind if OTHER_SURFACES.contains(&kind) => {
                 self.notes.add(&format!("{kind} prims are left out: make them Mesh prims"), prim);
             }
-            _ => {}
+            kind => self.append_lights(prim, kind, root_from_prim, stored_from_root)?,
         }
         Ok(Below::Visit)
+    }
+
+    fn append_lights(
+        &mut self,
+        prim: &Prim,
+        kind: &str,
+        root_from_prim: &DAffine3,
+        stored_from_root: &[DAffine3],
+    ) -> Result<()> {
+        for &stored in stored_from_root {
+            let found =
+                light::read(self.stage, prim, kind, stored * *root_from_prim, self.stage_unit, &mut self.notes)?;
+            match found {
+                Found::NoLight => break,
+                Found::Dark => self.dark_lights += 1,
+                Found::Light(light) => self.lights.push(light),
+            }
+        }
+        Ok(())
     }
 
     fn append_mesh(&mut self, prim: &Prim, root_from_prim: &DAffine3, stored_from_root: &[DAffine3]) -> Result<()> {
@@ -145,7 +182,10 @@ impl Loader<'_> {
         for group in mesh.face_groups(self.stage, prim)? {
             let (material, primvars) =
                 self.materials.surface(self.stage, prim, &mesh, &group.prim, &mut self.notes, self.meshes)?;
-            let geometry = mesh.geometry(self.stage, prim, &group.faces, &primvars)?;
+            let mut geometry = mesh.geometry(self.stage, prim, &group.faces, &primvars)?;
+            if let Some(uv_set) = self.meshes.materials[material as usize].tangent_uv_set() {
+                tangents::generate(&mut geometry, uv_set);
+            }
             geometry.append(self.stage.path, &placements, material, self.meshes, &mut self.dropped)?;
         }
         Ok(())

@@ -7,6 +7,7 @@
 mod binding;
 mod crate_check;
 mod instancer;
+mod light;
 mod material;
 mod mesh;
 mod meshes;

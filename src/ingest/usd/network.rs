@@ -7,7 +7,7 @@ use openusd::usd::{Attribute, Prim};
 use super::OpenedStage;
 use super::values::numbers;
 use crate::Result;
-use crate::scene::mesh::Wrap;
+use crate::scene::texture::Wrap;
 
 /// Longest chain of connections between an input and what feeds it.
 const MAX_HOPS: usize = 64;
@@ -121,7 +121,7 @@ fn parameter(stage: &OpenedStage, shader: &Prim, name: &str) -> Result<Option<Va
 }
 
 /// A parameter that is a name.
-pub fn name_parameter(stage: &OpenedStage, shader: &Prim, name: &str) -> Result<Option<String>> {
+fn name_parameter(stage: &OpenedStage, shader: &Prim, name: &str) -> Result<Option<String>> {
     match parameter(stage, shader, name)? {
         None => Ok(None),
         Some(Value::Token(name)) => Ok(Some(name.to_string())),
@@ -138,6 +138,11 @@ pub fn parameters<const N: usize>(
     default: [f32; N],
 ) -> Result<[f32; N]> {
     constant(stage, shader, name, parameter(stage, shader, name)?.as_ref(), default)
+}
+
+/// A parameter that is yes or no; no without a value.
+pub fn flag(stage: &OpenedStage, shader: &Prim, name: &str) -> Result<bool> {
+    parameters(stage, shader, name, [0.0]).map(|[value]| value != 0.0)
 }
 
 fn primvar_reader(stage: &OpenedStage, shader: &Prim) -> Result<PrimvarReader> {

@@ -3,67 +3,59 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use glam::{Vec3, Vec4};
+use glam::Vec3;
 use image::ColorType;
 
 use super::OpenedStage;
-use super::meshes::Notes;
 use super::network::UvTexture;
 use crate::error::{Error, Result};
-use crate::ingest::image::{ImageDecoding, Pixels};
+use crate::ingest::image::{EncodedImage, ImageFiles};
+use crate::job::MissingTexture;
 use crate::scene::colour::{linear_to_srgb, srgb_to_linear};
-use crate::scene::mesh::{Meshes, Texture};
+use crate::scene::material::Channel;
+use crate::scene::mesh::Meshes;
+use crate::scene::texture::{BrokenImage, Encoding, Filter, Image, Pixels, Texture, Wrap};
 
 /// The images and textures of one stage that are in use.
-#[derive(Default)]
 pub struct Textures {
-    decoding: ImageDecoding,
+    files: ImageFiles,
     /// By where they are.
-    images: BTreeMap<String, Pixels>,
-    /// Index in [`Meshes::textures`] by what it was made of.
-    textures: BTreeMap<String, Colour>,
+    encoded: BTreeMap<String, Arc<EncodedImage<Vec<u8>>>>,
+    /// By what they are made of.
+    images: BTreeMap<String, Arc<Image>>,
+    /// Index in [`Meshes::textures`] by image and wrap modes.
+    textures: BTreeMap<(String, [u8; 2]), u32>,
 }
 
-/// A colour with alpha that is a texture.
-#[derive(Clone, Copy)]
-pub struct Colour {
+/// A colour, and what it is to be multiplied with.
+pub struct ColourTexture {
     /// Index in [`Meshes::textures`].
     pub texture: u32,
-    /// What the texture is to be multiplied with.
-    pub factor: Vec4,
-    /// Whether the texture's alpha is not 1 everywhere.
-    pub alpha_varies: bool,
+    pub factor: Vec3,
+    /// Whether the texture has an alpha that counts.
+    pub has_alpha: bool,
+    /// What alpha is to be multiplied with.
+    pub alpha_factor: f32,
+}
+
+/// A channel of a texture: the number is `offset + factor * channel`.
+pub struct ChannelTexture {
+    /// Index in [`Meshes::textures`].
+    pub texture: u32,
+    pub channel: Channel,
+    pub factor: f32,
+    pub offset: f32,
 }
 
 impl Textures {
-    /// The texture whose colour is `colour`'s output (white without), and whose alpha is `alpha`'s (1 without).
-    pub fn colour(
-        &mut self,
-        stage: &OpenedStage,
-        colour: Option<&UvTexture>,
-        alpha: Option<&UvTexture>,
-        notes: &mut Notes,
-        meshes: &mut Meshes,
-    ) -> Result<Colour> {
-        let key = format!("{colour:?} {alpha:?}");
-        if let Some(&known) = self.textures.get(&key) {
-            return Ok(known);
+    /// None yet.
+    pub fn new(missing_texture: MissingTexture) -> Self {
+        Self {
+            files: ImageFiles::new(missing_texture),
+            encoded: BTreeMap::new(),
+            images: BTreeMap::new(),
+            textures: BTreeMap::new(),
         }
-        let colour = colour.map(|texture| self.source(stage, texture, notes)).transpose()?;
-        let alpha = alpha.map(|texture| self.source(stage, texture, notes)).transpose()?;
-        // Alpha that an image lacks is 1.
-        let (alpha, constant_alpha) = match alpha {
-            Some(source) if source.texture.output == "a" && !source.pixels.colour_type.has_alpha() => {
-                (None, source.texture.scale[3] + source.texture.bias[3])
-            }
-            alpha => (alpha, 1.0),
-        };
-        let factor = colour.as_ref().map_or(Vec3::ONE, Source::colour_factor).extend(constant_alpha);
-        let alpha_varies = alpha.is_some();
-        meshes.textures.push(made(colour, alpha, factor));
-        let made = Colour { texture: meshes.textures.len() as u32 - 1, factor, alpha_varies };
-        self.textures.insert(key, made);
-        Ok(made)
     }
 
     /// How many textures are in use.
@@ -71,44 +63,138 @@ impl Textures {
         self.textures.len()
     }
 
-    /// The decoded image of `texture`.
-    fn source<'a>(&mut self, stage: &OpenedStage, texture: &'a UvTexture, notes: &mut Notes) -> Result<Source<'a>> {
-        let (name, Some(place)) = &texture.file else {
-            let what = format!("its image '{}' is not in the stage's folder or package", texture.file.0);
-            return Err(Error::invalid(stage.path, texture.prim.as_str(), what));
+    /// What is wrong with the images that magenta stands for.
+    pub fn into_replaced(self) -> Vec<String> {
+        self.files.replaced
+    }
+
+    /// The texture whose colour is `colour`'s output (white without), and whose alpha is `alpha`'s (1 without). One of them
+    /// must be there.
+    pub fn colour(
+        &mut self,
+        stage: &OpenedStage,
+        colour: Option<&UvTexture>,
+        alpha: Option<&UvTexture>,
+        meshes: &mut Meshes,
+    ) -> Result<ColourTexture> {
+        let colour = colour.map(|texture| self.source(stage, texture)).transpose()?;
+        let alpha = alpha.map(|texture| self.source(stage, texture)).transpose()?;
+        // Alpha that an image lacks is 1.
+        let (alpha, alpha_factor) = match alpha {
+            Some(source) if source.texture.output == "a" && !source.encoded.colour_type.has_alpha() => {
+                (None, source.texture.scale[3] + source.texture.bias[3])
+            }
+            alpha => (alpha, 1.0),
         };
-        if texture.ends_black {
-            notes.add_at("wrap mode black is read as clamp", &texture.prim);
+        let factor = colour.as_ref().map_or(Vec3::ONE, Source::colour_factor);
+        let encoding = colour.as_ref().map_or(Encoding::Linear, Source::encoding);
+        let white = Lookup { image: None, channel: 0, table: [255; 256] };
+        let mut recipe = Recipe { images: Vec::new(), lookups: [white; 4], encoding };
+        if let Some(source) = &colour {
+            for (i, channel) in source.channels().into_iter().enumerate() {
+                recipe.add(i, source, channel, source.table(channel, |value| value / factor[i], encoding));
+            }
         }
-        let pixels = match self.images.get(place) {
-            Some(pixels) => pixels.clone(),
+        if let Some(source) = &alpha {
+            let channel = source.channels()[0];
+            recipe.add(3, source, channel, source.table(channel, |value| value, Encoding::Linear));
+        }
+        let wrap = colour.iter().chain(&alpha).next().map_or([Wrap::Repeat; 2], |source| source.texture.wrap);
+        let has_alpha = alpha.is_some();
+        Ok(ColourTexture { texture: self.texture(recipe, wrap, meshes), factor, has_alpha, alpha_factor })
+    }
+
+    /// The single channel that `texture`'s output is, of `rgb` the red one.
+    pub fn channel(&mut self, stage: &OpenedStage, texture: &UvTexture, meshes: &mut Meshes) -> Result<ChannelTexture> {
+        let source = self.source(stage, texture)?;
+        let at = source.channels()[0];
+        let recipe = Recipe::whole(&source, source.encoding());
+        Ok(ChannelTexture {
+            texture: self.texture(recipe, texture.wrap, meshes),
+            channel: [Channel::R, Channel::G, Channel::B, Channel::A][at],
+            factor: texture.scale[at],
+            offset: texture.bias[at],
+        })
+    }
+
+    /// The normals that `texture`'s output is, and the factor of their x and y. Normals are never sRGB-encoded.
+    pub fn normal(&mut self, stage: &OpenedStage, texture: &UvTexture, meshes: &mut Meshes) -> Result<(u32, f32)> {
+        let source = Source { is_srgb: false, ..self.source(stage, texture)? };
+        let (scale, bias) = (texture.scale, texture.bias);
+        // Written without scale and bias, normals of 8 bits could not point left: those of the schema are meant.
+        let is_bare = scale == [1.0; 4] && bias == [0.0; 4];
+        let is_plain = scale[0] == scale[1] && scale[2] == 2.0 && (0..3).all(|i| bias[i] == -scale[i] / 2.0);
+        let recipe = match is_bare || is_plain {
+            true => Recipe::whole(&source, Encoding::Linear),
+            false => {
+                let mut recipe = Recipe::whole(&source, Encoding::Linear);
+                for channel in 0..3 {
+                    let table = source.table(channel, |value| 0.5 * (value + 1.0), Encoding::Linear);
+                    recipe.lookups[channel].table = table;
+                }
+                recipe
+            }
+        };
+        let factor = if is_plain && !is_bare { scale[0] / 2.0 } else { 1.0 };
+        Ok((self.texture(recipe, texture.wrap, meshes), factor))
+    }
+
+    /// Index in [`Meshes::textures`] of the image that `recipe` makes under these wrap modes.
+    fn texture(&mut self, recipe: Recipe, wrap: [Wrap; 2], meshes: &mut Meshes) -> u32 {
+        let key = recipe.key();
+        let wrap_key = wrap.map(|wrap| wrap as u8);
+        if let Some(&texture) = self.textures.get(&(key.clone(), wrap_key)) {
+            return texture;
+        }
+        let image = self.images.entry(key.clone()).or_insert_with(|| Arc::new(recipe.into_image())).clone();
+        meshes.textures.push(Texture { image, wrap, filter: Filter::default() });
+        let appended = meshes.textures.len() as u32 - 1;
+        self.textures.insert((key, wrap_key), appended);
+        appended
+    }
+
+    /// The image of `texture`, with its header read.
+    fn source<'a>(&mut self, stage: &OpenedStage, texture: &'a UvTexture) -> Result<Source<'a>> {
+        let (name, place) = &texture.file;
+        let key = place.as_deref().unwrap_or(name);
+        let encoded = match self.encoded.get(key) {
+            Some(encoded) => encoded.clone(),
             None => {
                 let here = format!("image '{name}' of {}", texture.prim);
-                let bytes = stage.resolver.read(place);
-                let bytes = bytes.map_err(|error| Error::invalid(stage.path, here.as_str(), error.to_string()))?;
-                let pixels = self.decoding.decode(stage.path, &bytes, &here)?;
-                self.images.entry(place.clone()).or_insert(pixels).clone()
+                let missing =
+                    || Error::invalid(stage.path, here.as_str(), "it is not in the stage's folder or package");
+                let bytes = place.as_ref().ok_or_else(missing).and_then(|place| {
+                    let bytes = stage.resolver.read(place);
+                    bytes.map_err(|error| Error::invalid(stage.path, here.as_str(), error.to_string()))
+                });
+                let encoded = Arc::new(self.files.open(stage.path, &here, bytes)?);
+                self.encoded.entry(key.to_owned()).or_insert(encoded).clone()
             }
         };
         let is_srgb = match texture.source_colour_space.as_str() {
             "raw" => false,
             "sRGB" => true,
             // The schema's rule for images that do not say themselves.
-            _ => matches!(pixels.colour_type, ColorType::Rgb8 | ColorType::Rgba8),
+            _ => matches!(encoded.colour_type, ColorType::Rgb8 | ColorType::Rgba8),
         };
-        Ok(Source { texture, pixels, is_srgb })
+        Ok(Source { texture, place: key.to_owned(), encoded, is_srgb })
     }
 }
 
 /// An image, and which part of it is asked for.
 struct Source<'a> {
     texture: &'a UvTexture,
-    pixels: Pixels,
+    place: String,
+    encoded: Arc<EncodedImage<Vec<u8>>>,
     /// Whether its colours are sRGB-encoded.
     is_srgb: bool,
 }
 
 impl Source<'_> {
+    fn encoding(&self) -> Encoding {
+        if self.is_srgb { Encoding::Srgb } else { Encoding::Linear }
+    }
+
     /// The channels of the output.
     fn channels(&self) -> [usize; 3] {
         match ["r", "g", "b", "a"].iter().position(|name| *name == self.texture.output) {
@@ -117,7 +203,7 @@ impl Source<'_> {
         }
     }
 
-    /// What the texels are multiplied with: the scale, or what keeps them within 0 and 1 where there is a bias.
+    /// What texels are multiplied with: the scale, or what keeps them within 0 and 1 where there is a bias.
     fn colour_factor(&self) -> Vec3 {
         Vec3::from(self.channels().map(|channel| match (self.texture.scale[channel], self.texture.bias[channel]) {
             (scale, 0.0) if scale > 0.0 => scale,
@@ -125,51 +211,97 @@ impl Source<'_> {
         }))
     }
 
-    /// The codes of `output / factor` for each code of `channel`.
-    fn table(&self, channel: usize, factor: f32, to_srgb: bool) -> [u8; 256] {
-        let (scale, bias) = (self.texture.scale[channel] / factor, self.texture.bias[channel] / factor);
+    /// For each code of `channel`, the code in `encoding` of what `map` makes of the value, scaled and biased.
+    fn table(&self, channel: usize, map: impl Fn(f32) -> f32, encoding: Encoding) -> [u8; 256] {
+        let (scale, bias) = (self.texture.scale[channel], self.texture.bias[channel]);
         std::array::from_fn(|code| {
             let plain = code as f32 / 255.0;
             let value = if self.is_srgb && channel < 3 { srgb_to_linear(plain) } else { plain };
-            let value = (value * scale + bias).clamp(0.0, 1.0);
-            ((if to_srgb { linear_to_srgb(value) } else { value }) * 255.0).round() as u8
+            let value = map(value * scale + bias).clamp(0.0, 1.0);
+            let value = if encoding == Encoding::Srgb { linear_to_srgb(value) } else { value };
+            (value * 255.0).round() as u8
         })
-    }
-
-    /// The texel of an image of `width` x `height` at `x`, `y`; the nearest one where this has another size.
-    fn texel(&self, x: usize, y: usize, width: usize, height: usize) -> [u8; 4] {
-        let (own_width, own_height) = (self.pixels.width as usize, self.pixels.height as usize);
-        self.pixels.rgba[y * own_height / height * own_width + x * own_width / width]
     }
 }
 
-/// The texture of `colour` divided by `factor`, and of `alpha`.
-fn made(colour: Option<Source>, alpha: Option<Source>, factor: Vec4) -> Texture {
-    let tables = colour.as_ref().map(|source| {
-        let channels = source.channels();
-        std::array::from_fn::<_, 3, _>(|i| source.table(channels[i], factor[i], true))
-    });
-    let alpha_table = alpha.as_ref().map(|source| source.table(source.channels()[0], 1.0, false));
-    let sizes = || colour.iter().chain(&alpha).map(|source| &source.pixels);
-    let width = sizes().map(|pixels| pixels.width).max().unwrap_or(1);
-    let height = sizes().map(|pixels| pixels.height).max().unwrap_or(1);
-    let wrap =
-        colour.iter().chain(&alpha).next().map_or([crate::scene::mesh::Wrap::Repeat; 2], |source| source.texture.wrap);
-    let (w, h) = (width as usize, height as usize);
-    let texel = |x: usize, y: usize| {
-        let mut made = [255; 4];
-        if let (Some(source), Some(tables)) = (&colour, &tables) {
-            let (texel, channels) = (source.texel(x, y, w, h), source.channels());
-            for i in 0..3 {
-                made[i] = tables[i][usize::from(texel[channels[i]])];
-            }
+/// Where a channel of a made image comes from.
+#[derive(Clone, Copy)]
+struct Lookup {
+    /// Which of the recipe's images; the table's first entry without one.
+    image: Option<usize>,
+    channel: usize,
+    /// By the code found there.
+    table: [u8; 256],
+}
+
+/// How an image is made of others.
+struct Recipe {
+    images: Vec<(String, Arc<EncodedImage<Vec<u8>>>)>,
+    /// Red, green, blue and alpha.
+    lookups: [Lookup; 4],
+    encoding: Encoding,
+}
+
+impl Recipe {
+    /// An image as it is.
+    fn whole(source: &Source, encoding: Encoding) -> Self {
+        let table = std::array::from_fn(|code| code as u8);
+        let lookups = std::array::from_fn(|channel| Lookup { image: Some(0), channel, table });
+        Self { images: vec![(source.place.clone(), source.encoded.clone())], lookups, encoding }
+    }
+
+    fn add(&mut self, made: usize, source: &Source, channel: usize, table: [u8; 256]) {
+        let known = self.images.iter().position(|(place, _)| *place == source.place);
+        let image = known.unwrap_or_else(|| {
+            self.images.push((source.place.clone(), source.encoded.clone()));
+            self.images.len() - 1
+        });
+        self.lookups[made] = Lookup { image: Some(image), channel, table };
+    }
+
+    /// Whether the image is another one, as it is.
+    fn is_whole(&self) -> bool {
+        let [(_, image)] = &self.images[..] else { return false };
+        self.lookups.iter().enumerate().all(|(made, lookup)| {
+            let same = lookup.image.is_some()
+                && lookup.channel == made
+                && lookup.table.iter().enumerate().all(|(code, &found)| code == usize::from(found));
+            same || made == 3 && !image.colour_type.has_alpha() && lookup.table[255] == 255
+        })
+    }
+
+    /// The same for recipes that make the same.
+    fn key(&self) -> String {
+        let places: Vec<&str> = self.images.iter().map(|(place, _)| place.as_str()).collect();
+        let made: Vec<_> = match self.is_whole() {
+            true => Vec::new(),
+            false => self.lookups.iter().map(|lookup| (lookup.image, lookup.channel, lookup.table)).collect(),
+        };
+        format!("{places:?} {:?} {made:?}", self.encoding)
+    }
+
+    fn into_image(self) -> Image {
+        let size = |edge: fn(&EncodedImage<Vec<u8>>) -> u32| self.images.iter().map(|(_, image)| edge(image)).max();
+        let (width, height) = (size(|image| image.width).unwrap_or(1), size(|image| image.height).unwrap_or(1));
+        Image::new(width, height, self.encoding, move || match self.is_whole() {
+            true => self.images[0].1.pixels(),
+            false => self.pixels(width as usize, height as usize),
+        })
+    }
+
+    /// `width` x `height` pixels; from an image of another size the nearest ones.
+    fn pixels(&self, width: usize, height: usize) -> std::result::Result<Pixels, BrokenImage> {
+        let decoded =
+            self.images.iter().map(|(_, image)| image.pixels()).collect::<std::result::Result<Vec<_>, _>>()?;
+        let mut pixels = Vec::with_capacity(width * height);
+        for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
+            pixels.push(self.lookups.each_ref().map(|lookup| {
+                let Some(i) = lookup.image else { return lookup.table[0] };
+                let (own_width, own_height) = (self.images[i].1.width as usize, self.images[i].1.height as usize);
+                let texel = decoded[i][y * own_height / height * own_width + x * own_width / width];
+                lookup.table[usize::from(texel[lookup.channel])]
+            }));
         }
-        if let (Some(source), Some(table)) = (&alpha, &alpha_table) {
-            made[3] = table[usize::from(source.texel(x, y, w, h)[source.channels()[0]])];
-        }
-        made
-    };
-    let texel = &texel;
-    let rgba: Arc<[[u8; 4]]> = (0..h).flat_map(|y| (0..w).map(move |x| texel(x, y))).collect();
-    Texture { width, height, rgba, wrap, nearest: false }
+        Ok(pixels)
+    }
 }
