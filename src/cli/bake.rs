@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::Args;
 use splatprobe::job::{
-    Crop, Footprint, Frame, Job, MeshInput, MissingTexture, Order, Pixel, ProgressStyle, ShDirection, SplatInput, Surface, Tracer,
-    Transform, parse_numbers,
+    Crop, Footprint, Frame, Job, MeshInput, MissingTexture, Order, Pixel, ProgressStyle, ShDirection, SplatInput,
+    Surface, Tracer, Transform, parse_numbers,
 };
 use splatprobe::scene::SplatEncoding;
 use splatprobe::{Error, Result, pipeline};

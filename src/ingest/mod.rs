@@ -3,6 +3,8 @@
 pub mod gltf;
 
 mod gather;
+mod geometry;
+mod image;
 mod ksplat;
 mod ply;
 mod report;
@@ -13,6 +15,7 @@ mod source;
 mod splat;
 mod splats;
 mod spz;
+mod tangents;
 mod usd;
 
 use std::fs::File;
@@ -84,7 +87,9 @@ struct LoadedMeshes {
 fn load_meshes(inputs: &[MeshInput], origin: DVec3) -> Result<LoadedMeshes> {
     let mut loaded = LoadedMeshes::default();
     for input in inputs {
-        loaded.reports.push(gltf::load(input, origin, &mut loaded.meshes, &mut loaded.lights)?);
+        // Of whichever format its first bytes show.
+        let load = if usd::is_usd(&map(&input.path)?) { usd::load } else { gltf::load };
+        loaded.reports.push(load(input, origin, &mut loaded.meshes, &mut loaded.lights)?);
     }
     Ok(loaded)
 }

@@ -235,7 +235,8 @@ mod tests {
     use super::*;
 
     fn levels(width: u32, height: u32, encoding: Encoding, pixel: impl Fn(u32, u32) -> [u8; 4]) -> Vec<Level> {
-        let pixels: Pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| pixel(x, y)).collect();
+        let pixels: Pixels =
+            (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| pixel(x, y)).collect();
         Image::new(width, height, encoding, || Ok(pixels)).levels().unwrap().to_vec()
     }
 
@@ -248,7 +249,10 @@ mod tests {
                     let last = levels.last().unwrap();
                     assert_eq!((last.width, last.height), (1, 1));
                     let texels = levels.iter().flat_map(|level| &level.texels);
-                    assert!(texels.clone().all(|texel| *texel == [code, 255 - code, 3, 128]), "{width} x {height} {code}");
+                    assert!(
+                        texels.clone().all(|texel| *texel == [code, 255 - code, 3, 128]),
+                        "{width} x {height} {code}"
+                    );
                 }
             }
         }

@@ -170,9 +170,8 @@ impl<'a> SurfacePoint<'a> {
         }
         let [a, b, c] = self.corners.map(|v| self.meshes.attributes[v].uv[usize::from(texture.uv_set)]);
         let uv = a * self.weights[0] + b * self.weights[1] + c * self.weights[2];
-        let [along, across] = self.area.map(|weights| {
-            texture.uv_from_uv.transform_vector2((b - a) * weights.x + (c - a) * weights.y)
-        });
+        let [along, across] =
+            self.area.map(|weights| texture.uv_from_uv.transform_vector2((b - a) * weights.x + (c - a) * weights.y));
         let uv = texture.uv_from_uv.transform_point2(uv);
         let value = sample(&self.meshes.textures[texture.texture as usize], uv, UvArea { along, across });
         self.last.set(Some((*texture, value)));

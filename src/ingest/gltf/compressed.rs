@@ -20,10 +20,10 @@ use serde::Deserialize;
 use serde_json::{Map, Value};
 
 use super::container::{Asset, place};
-use super::geometry::MAX_ELEMENTS;
 use super::meshopt::Compression;
 use super::resource::{Bytes, view_bytes};
 use crate::Result;
+use crate::ingest::geometry::MAX_ELEMENTS;
 
 const MESHOPT: &str = "EXT_meshopt_compression";
 const DRACO: &str = "KHR_draco_mesh_compression";

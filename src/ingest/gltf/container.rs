@@ -111,7 +111,8 @@ impl Asset {
         };
         let materials = value.get("materials").and_then(Value::as_array).into_iter().flatten().enumerate();
         let materials = materials.map(|(i, material)| {
-            MaterialJson::deserialize(material).map_err(|e| Error::invalid(path, place("materials", i, None), e.to_string()))
+            MaterialJson::deserialize(material)
+                .map_err(|e| Error::invalid(path, place("materials", i, None), e.to_string()))
         });
         let materials = materials.collect::<Result<Vec<_>>>()?;
         let splats = SplatPrimitives::of(path, &value)?;

@@ -27,14 +27,7 @@ struct LightJson {
 
 impl Default for LightJson {
     fn default() -> Self {
-        Self {
-            name: None,
-            color: [1.0; 3],
-            intensity: 1.0,
-            kind: String::new(),
-            range: None,
-            spot: Spot::default(),
-        }
+        Self { name: None, color: [1.0; 3], intensity: 1.0, kind: String::new(), range: None, spot: Spot::default() }
     }
 }
 

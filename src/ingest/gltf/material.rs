@@ -80,7 +80,7 @@ impl Materials {
 
     /// Images that are missing or broken and were replaced, each with what is wrong.
     pub fn into_replaced_images(self) -> Vec<String> {
-        self.images.replaced
+        self.images.into_replaced()
     }
 
     fn texture(
@@ -221,7 +221,8 @@ impl Conversion<'_> {
             None => 0.0,
         };
         let thickest = self.factor(iridescence.iridescence_thickness_maximum, "iridescenceThicknessMaximum")?;
-        let film = self.map(1.0, &iridescence.iridescence_thickness_texture, "iridescenceThicknessTexture", Channel::G)?;
+        let film =
+            self.map(1.0, &iridescence.iridescence_thickness_texture, "iridescenceThicknessTexture", Channel::G)?;
         let volume = &all.volume;
         let distance = volume.attenuation_distance.unwrap_or(f32::INFINITY);
         if !(distance > 0.0) {
@@ -233,7 +234,12 @@ impl Conversion<'_> {
             metallic: self.scalar(metallic, metal_rough, slot, Channel::B)?,
             roughness: self.scalar(roughness, metal_rough, slot, Channel::G)?,
             ior: self.index_of_refraction(all.ior.ior, "ior", 0.0)?,
-            specular: self.map(all.specular.specular_factor, &all.specular.specular_texture, "specularTexture", Channel::A)?,
+            specular: self.map(
+                all.specular.specular_factor,
+                &all.specular.specular_texture,
+                "specularTexture",
+                Channel::A,
+            )?,
             specular_colour: ColourMap {
                 factor: self.factors(all.specular.specular_color_factor.into(), "specularColorFactor")?,
                 texture: self.colour_texture(&all.specular.specular_color_texture, "specularColorTexture")?,
@@ -272,7 +278,12 @@ impl Conversion<'_> {
                 Channel::R,
             )?,
             volume: Volume {
-                thickness: self.map(volume.thickness_factor, &volume.thickness_texture, "thicknessTexture", Channel::G)?,
+                thickness: self.map(
+                    volume.thickness_factor,
+                    &volume.thickness_texture,
+                    "thicknessTexture",
+                    Channel::G,
+                )?,
                 attenuation_colour: LinearRgb(self.factors(volume.attenuation_color.into(), "attenuationColor")?),
                 attenuation_distance: distance,
             },
@@ -354,13 +365,7 @@ impl Conversion<'_> {
         self.scalar(factor, info, slot, channel)
     }
 
-    fn scalar(
-        &mut self,
-        factor: f32,
-        info: &Option<TextureInfo>,
-        slot: &str,
-        channel: Channel,
-    ) -> Result<ScalarMap> {
+    fn scalar(&mut self, factor: f32, info: &Option<TextureInfo>, slot: &str, channel: Channel) -> Result<ScalarMap> {
         // Alpha is the same in both encodings; the extensions put it beside a colour, whose pixels it then shares.
         let encoding = if channel == Channel::A { Encoding::Srgb } else { Encoding::Linear };
         let texture = self.texture(info, slot, encoding)?.map(|texture| (texture, channel));

@@ -17,7 +17,6 @@ mod pose;
 mod primitives;
 mod resource;
 mod splats;
-mod tangents;
 mod variants;
 
 use std::path::{Path, PathBuf};
@@ -27,13 +26,15 @@ use gltf::json::{Index, Node};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::geometry::{DroppedTriangles, bounds};
+use super::requests::Contents;
+use super::tangents;
 use crate::Result;
 use crate::job::MeshInput;
-use crate::scene::{Light, Meshes};
 use crate::scene::bounds::Bounds;
+use crate::scene::{Light, Meshes};
 
 use container::{Asset, place};
-use geometry::Geometry;
 use material::Materials;
 use nodes::Hierarchy;
 
@@ -75,26 +76,12 @@ pub struct MeshReport {
     pub extensions_used: Vec<String>,
     /// Those of them that were passed over.
     pub extensions_ignored: Vec<String>,
+    /// What is read in another way than the file means, or left out, each with the first place that it concerns.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub notes: Vec<String>,
     /// Box around the triangles, in metres in the world; absent without triangles.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bounds: Option<Bounds>,
-}
-
-/// Triangles that were left out, by reason.
-#[derive(Debug, Default, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "camelCase")]
-pub struct DroppedTriangles {
-    /// All corners on one line.
-    pub zero_area: usize,
-    /// A corner that is not a number, or too far away for f32.
-    pub non_finite: usize,
-}
-
-/// What the scene of a glTF file holds.
-#[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Contents {
-    pub splats: bool,
-    pub meshes: bool,
 }
 
 /// What the scene called `scene`, or the default one, of the file at `path` holds. Buffers are not read.
@@ -116,12 +103,7 @@ pub(super) fn contents(path: &Path, scene: Option<&str>) -> Result<Contents> {
 ///
 /// Transforms are composed in f64; positions are stored relative to `origin` (world, metres). Skins and morph targets
 /// are read in their rest pose. On an error `meshes` and `lights` may hold a part of the file.
-pub fn load(
-    input: &MeshInput,
-    origin: DVec3,
-    meshes: &mut Meshes,
-    lights: &mut Vec<Light>,
-) -> Result<MeshReport> {
+pub fn load(input: &MeshInput, origin: DVec3, meshes: &mut Meshes, lights: &mut Vec<Light>) -> Result<MeshReport> {
     let asset = Asset::read(&input.path)?;
     let hierarchy = Hierarchy::of_scene(&asset, input.scene.as_deref())?;
     let stored_from_file = DAffine3::from_translation(-origin) * input.transform.world_from_file();
@@ -157,6 +139,7 @@ pub fn load(
         lights: lights.len() - first_light,
         dark_lights,
         extensions_ignored: asset.ignored_extensions(),
+        notes: Vec::new(),
         bounds: bounds(meshes, first_vertex, origin),
         scene: hierarchy.scene,
         extensions_used: asset.root.extensions_used,
@@ -194,7 +177,7 @@ impl Loader<'_> {
                 continue;
             }
             let here = format!("{mesh_place}/primitives/{i}");
-            let Some(mut geometry) = Geometry::read(self.asset, primitive, &here)? else {
+            let Some(mut geometry) = geometry::read(self.asset, primitive, &here)? else {
                 self.skipped_primitives += 1;
                 continue;
             };
@@ -202,7 +185,7 @@ impl Loader<'_> {
             let material = self.materials.get(self.asset, material, &here, self.meshes)?;
             let tangent_uv_set = self.meshes.materials[material as usize].tangent_uv_set();
             if tangent_uv_set.is_some() {
-                geometry.read_tangents(self.asset, primitive, &here)?;
+                geometry::read_tangents(self.asset, primitive, &mut geometry, &here)?;
             }
             pose::morph(self.asset, &mut geometry, node, mesh, primitive, &here)?;
             if let Some(file_from_joints) = &file_from_joints {
@@ -211,7 +194,7 @@ impl Loader<'_> {
             if let (Some(uv_set), true) = (tangent_uv_set, geometry.tangents.is_empty()) {
                 tangents::generate(&mut geometry, uv_set);
             }
-            geometry.append(self.asset, &stored_from_instances, material, self.meshes, &mut self.dropped)?;
+            geometry.append(&self.asset.path, &stored_from_instances, material, self.meshes, &mut self.dropped)?;
         }
         Ok(())
     }
@@ -239,11 +222,4 @@ impl Loader<'_> {
         let instances = nodes::node_from_instances(self.asset, node, here)?;
         Ok(instances.into_iter().map(|node_from_instance| stored_from_node * node_from_instance).collect())
     }
-}
-
-fn bounds(meshes: &Meshes, first_vertex: usize, origin: DVec3) -> Option<Bounds> {
-    let positions = &meshes.positions[first_vertex..];
-    let first = positions.first()?;
-    let (min, max) = positions.iter().fold((*first, *first), |(min, max), &p| (min.min(p), max.max(p)));
-    Some(Bounds { min: origin + min.as_dvec3(), max: origin + max.as_dvec3() })
 }

@@ -7,9 +7,10 @@ use gltf::json::{Accessor, Index, Node, Skin};
 
 use super::accessor::read_vectors;
 use super::container::{Asset, place};
-use super::geometry::{Geometry, attribute, cofactor};
+use super::geometry::attribute;
 use super::nodes::Hierarchy;
 use crate::Result;
+use crate::ingest::geometry::{Geometry, cofactor};
 
 /// Moves `geometry` by its morph targets; the node's weights win over the mesh's.
 pub fn morph(

@@ -1,4 +1,4 @@
-//! Tangents of primitives whose material needs them and whose file has none: MikkTSpace, as glTF asks.
+//! Tangents of geometry whose material needs them and whose file has none: MikkTSpace, as glTF asks.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,8 @@ pub fn generate(geometry: &mut Geometry, uv_set: u8) {
     if geometry.uv[usize::from(uv_set)].is_empty() {
         return;
     }
-    let mut faces = MikkFaces { geometry, uv_set: usize::from(uv_set), tangents: vec![[0.0; 4]; geometry.triangles.len() * 3] };
+    let mut faces =
+        MikkFaces { geometry, uv_set: usize::from(uv_set), tangents: vec![[0.0; 4]; geometry.triangles.len() * 3] };
     if generate_tangents(&mut faces).is_err() {
         return;
     }
@@ -50,7 +51,7 @@ fn finite<const N: usize>(values: [f32; N]) -> [f32; N] {
     values.map(|value| if value.is_finite() { value } else { 0.0 })
 }
 
-/// A primitive as MikkTSpace sees it.
+/// Geometry as MikkTSpace sees it.
 struct MikkFaces<'a> {
     geometry: &'a Geometry,
     uv_set: usize,
