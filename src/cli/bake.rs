@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::Args;
 use splatprobe::job::{
-    Crop, Footprint, Frame, HdrEncoding, Job, MeshInput, Order, OutputKind, Pixel, ProgressStyle, RoughnessCurve,
-    ShDirection, SplatInput, Surface, Tonemapper, Tracer, Transform, parse_numbers,
+    Crop, Footprint, Frame, HdrEncoding, Job, MeshInput, MissingTexture, Order, OutputKind, Pixel, ProgressStyle,
+    RoughnessCurve, ShDirection, SplatInput, Surface, Tonemapper, Tracer, Transform, parse_numbers,
 };
 use splatprobe::scene::SplatEncoding;
 use splatprobe::{Error, Result, pipeline};
@@ -18,7 +18,7 @@ use super::progress;
 /// The job file holds the same settings as the flags (see `splatprobe schema job`); a flag overrides the job file.
 ///
 /// Flags that describe an input (--splat-frame, --splat-transform, --splat-encoding, --lod, --crop, --min-opacity;
-/// --mesh-transform, --mesh-scene) belong to the inputs in order, the first to the first; given once, they belong to all.
+/// --mesh-transform, --mesh-scene, --variant, --missing-texture) belong to the inputs in order, the first to the first; given once, they belong to all.
 ///
 /// A file that holds both splats and meshes brings both, whichever of --splats and --mesh names it; named by both, each
 /// kind stands where the flags of its kind say.
@@ -61,6 +61,12 @@ pub struct Bake {
     /// Name or index of the scene in the mesh file [default: the file's].
     #[arg(long, value_name = "SCENE", help_heading = "Inputs")]
     mesh_scene: Vec<String>,
+    /// Material variant of the mesh file, by name [default: none].
+    #[arg(long, value_name = "NAME", help_heading = "Inputs")]
+    variant: Vec<String>,
+    /// What stands for an image of the mesh file that is missing or broken [default: error].
+    #[arg(long, value_name = "WHAT", help_heading = "Inputs")]
+    missing_texture: Vec<MissingTexture>,
     /// Linear radiance of rays that leave the scene [default: 0,0,0].
     #[arg(long, value_name = "R,G,B", value_parser = parse_numbers::<3>, allow_hyphen_values = true, help_heading = "Inputs")]
     background: Option<[f64; 3]>,
@@ -184,6 +190,8 @@ impl Bake {
         }
         describe("--mesh-transform", self.mesh_transform, &mut job.meshes, |input, world| input.transform = world)?;
         describe("--mesh-scene", self.mesh_scene, &mut job.meshes, |input, scene| input.scene = Some(scene))?;
+        describe("--variant", self.variant, &mut job.meshes, |input, name| input.variant = Some(name))?;
+        describe("--missing-texture", self.missing_texture, &mut job.meshes, |input, it| input.missing_texture = it)?;
 
         // A flag for one kind of placement replaces the other kind in the job file.
         if self.grid.is_some() {
@@ -298,14 +306,15 @@ mod tests {
         let text = r#"{"splats": [{"path": "a.ply"}], "placement": {"probes": [[1, 2, 3]]}, "faceSize": 8}"#;
         std::fs::write(&path, text).unwrap();
         let line = "--splats b.ply --splat-frame rub --splat-transform s=2 --splat-encoding lin-scene --crop sphere:-1,2,3,4 \
-            --min-opacity 0.25 --lod 2 --mesh c.glb --mesh-transform t=1,2,3 --mesh-scene 1 --background 1,2,3 -o out --pixel float --distance --stats s.json --outputs mips,latlong-hdr --mips 5 --roughness-curve unity --hdr-encoding rgb9e5 --exposure -1.5 --match-tonemapper pbr-neutral --highlight-expansion 8 --sh-degree 3 --sh-window --calibration \
+            --min-opacity 0.25 --lod 2 --mesh c.glb --mesh-transform t=1,2,3 --mesh-scene 1 --variant red --missing-texture magenta --background 1,2,3 -o out --pixel float --distance --stats s.json --outputs mips,latlong-hdr --mips 5 --roughness-curve unity --hdr-encoding rgb9e5 --exposure -1.5 --match-tonemapper pbr-neutral --highlight-expansion 8 --sh-degree 3 --sh-window --calibration \
             --bounds -1,-2,-3,1,2,3 --grid 2,3,4 --overlap 0.5 --face-size 16 --samples 2 --footprint train:800 --order cameraDistance \
             --sh-direction ray --t-cutoff 0 --t-near 0.5 --surface unlit --tracer reference --threads 3 --progress json";
         let line: Vec<&str> = [path.to_str().unwrap()].into_iter().chain(line.split_whitespace()).collect();
         let expected = r#"{
             "splats": [{"path": "b.ply", "frame": "rub", "transform": {"scale": [2, 2, 2]}, "encoding": "lin-scene",
                 "lod": 2, "crop": {"sphere": [-1, 2, 3, 4]}, "minOpacity": 0.25}],
-            "meshes": [{"path": "c.glb", "transform": {"translation": [1, 2, 3]}, "scene": "1"}],
+            "meshes": [{"path": "c.glb", "transform": {"translation": [1, 2, 3]}, "scene": "1",
+                "variant": "red", "missingTexture": "magenta"}],
             "output": "out", "stats": "s.json", "progress": "json", "threads": 3, "background": [1, 2, 3],
             "pixel": "float", "distance": true, "outputs": ["mips", "latlong-hdr"], "mips": 5, "roughnessCurve": "unity",
             "hdrEncoding": "rgb9e5", "exposure": -1.5, "matchTonemapper": "pbr-neutral", "highlightExpansion": 8, "shDegree": 3, "shWindow": true, "calibration": true, "faceSize": 16, "samples": 2, "footprint": "train:800", "order": "cameraDistance",

@@ -5,8 +5,7 @@ use std::path::{Path, PathBuf};
 
 use glam::{BVec3, DAffine3, DVec3};
 
-use super::gltf::{self, Contents};
-use super::{index_file, is_gltf, map};
+use super::{gltf, index_file, is_gltf, map, usd};
 use crate::error::Result;
 use crate::job::{Frame, MeshInput, SplatInput};
 use crate::scene::bounds::Bounds;
@@ -54,8 +53,7 @@ impl<'a> Requests<'a> {
             let scene = as_meshes.and_then(|mesh| meshes[mesh].scene.as_deref());
             requests.splats.push(SplatRequest { input: Cow::Borrowed(input), scene, field: format!("splats[{i}]") });
             if as_meshes.is_none() && contents(&input.path, None)?.meshes {
-                let transform = input.transform;
-                requests.meshes.push(MeshInput { path: input.path.clone(), transform, scene: None });
+                requests.meshes.push(MeshInput { transform: input.transform, ..MeshInput::new(&input.path) });
             }
         }
         for (i, (input, file)) in meshes.iter().zip(&mesh_files).enumerate() {
@@ -69,16 +67,29 @@ impl<'a> Requests<'a> {
     }
 }
 
+/// What the chosen scene of a file holds.
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Contents {
+    pub splats: bool,
+    pub meshes: bool,
+}
+
 /// Whether the file at `path` is one that meshes are read from, or could be.
 pub(super) fn holds_meshes(path: &Path) -> Result<bool> {
-    Ok(is_gltf(&map(&index_file(path))?) && contents(path, None)? != Contents { splats: true, meshes: false })
+    let bytes = map(&index_file(path))?;
+    let could_hold = is_gltf(&bytes) || usd::is_usd(&bytes);
+    Ok(could_hold && contents(path, None)? != Contents { splats: true, meshes: false })
 }
 
 /// What the chosen scene of the file at `path` holds.
 fn contents(path: &Path, scene: Option<&str>) -> Result<Contents> {
-    match is_gltf(&map(&index_file(path))?) {
-        true => gltf::contents(path, scene),
-        false => Ok(Contents::default()),
+    let bytes = map(&index_file(path))?;
+    if is_gltf(&bytes) {
+        gltf::contents(path, scene)
+    } else if usd::is_usd(&bytes) {
+        usd::contents(path)
+    } else {
+        Ok(Contents::default())
     }
 }
 

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 pub use crop::Crop;
 pub use footprint::Footprint;
-pub use inputs::{Frame, MeshInput, SplatInput, Transform, parse_numbers};
+pub use inputs::{Frame, MeshInput, MissingTexture, SplatInput, Transform, parse_numbers};
 pub use outputs::{HdrEncoding, OutputKind, RoughnessCurve, Tonemapper};
 pub use validate::{MAX_FACE_SIZE, MAX_MIPS, MAX_PROBES, MAX_SAMPLES};
 

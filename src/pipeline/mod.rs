@@ -20,6 +20,7 @@ use crate::manifest::{self, InputRecord, Manifest};
 use crate::place::{self, Probe};
 use crate::scene::{Bounds, LinearRgb, Scene};
 use crate::shade::UnlitSurfaces;
+use crate::trace::footprint;
 use crate::trace::{BeamTracer, Footprint, Level, RayTracer, ReferenceTracer, Surfaces, TileTracer, TraceSettings};
 use crate::{Error, Result};
 
@@ -84,7 +85,10 @@ fn bake_on_these_threads(job: &Job, progress: &dyn Progress, cancel: &AtomicBool
     let built = Instant::now();
 
     let surfaces: Box<dyn Surfaces> = match job.surface {
-        Surface::Unlit => Box::new(UnlitSurfaces::new(&scene.meshes)),
+        Surface::Unlit => {
+            let ray_angle = footprint::ray_angle(job.face_size * job.samples);
+            Box::new(UnlitSurfaces::new(&scene.meshes).for_rays_of(ray_angle))
+        }
     };
     let tracer = tracer(job, order, &scene, &bvh, &*surfaces);
     let output = Output::begin(job, probes.len())?;
@@ -92,6 +96,7 @@ fn bake_on_these_threads(job: &Job, progress: &dyn Progress, cancel: &AtomicBool
     let distance = job.distance || job.outputs.contains(&OutputKind::Moments);
     let settings = BakeSettings { face_size, samples, distance, edge_texels: false };
     bake::bake_probes(&*tracer, &scene, &probes, &settings, progress, cancel, |index, cubemap, statistics| {
+        scene.meshes.check_textures()?;
         output.write_probe(index, &probes[index], cubemap, statistics)
     })?;
     let mut rays_per_probe = settings.rays_per_probe();

@@ -1,103 +1,61 @@
-//! PNG and JPEG to pixels, each image once, within limits that a hostile header cannot move.
+//! The images of a file, each opened once for each encoding.
 
 use std::collections::BTreeMap;
-use std::io::Cursor;
 use std::sync::Arc;
 
 use gltf::json::{self, Index};
-use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
 use super::container::{Asset, place};
-use super::resource::{read_uri, view_bytes};
-use crate::{Error, Result};
-
-/// Largest width and height, in pixels.
-const MAX_EDGE: u32 = 16_384;
-
-/// What decoding one image may allocate, in bytes.
-const MAX_IMAGE_BYTES: u64 = 512 << 20;
-
-/// What all images of a file may take, in bytes of decoded pixels.
-const MAX_FILE_BYTES: u64 = 4 << 30;
-
-/// Most pixels that a byte of a file can stand for: DEFLATE expands by 1032 at most, and PNG packs 8 pixels into a
-/// byte. JPEG stays below.
-const MAX_PIXELS_PER_BYTE: u64 = 1032 * 8;
-
-/// A decoded image.
-#[derive(Clone)]
-pub struct Pixels {
-    /// Pixels per row.
-    pub width: u32,
-    /// Rows from the top.
-    pub height: u32,
-    /// RGBA, row by row, as encoded.
-    pub rgba: Arc<[[u8; 4]]>,
-}
+use super::resource::{Bytes, read_uri, view_bytes};
+use crate::Result;
+use crate::ingest::image::ImageFiles;
+use crate::job::MissingTexture;
+use crate::scene::texture::{Encoding, Image};
 
 /// The images that materials have asked for so far.
-#[derive(Default)]
 pub struct Images {
-    decoded: BTreeMap<usize, Pixels>,
-    bytes: u64,
+    by_use: BTreeMap<(usize, Encoding), Arc<Image>>,
+    files: ImageFiles,
 }
 
 impl Images {
-    /// Image `index`, decoded at the first call. `user` is the material that asks, for messages.
-    pub fn get(&mut self, asset: &Asset, index: Index<json::Image>, user: &str) -> Result<Pixels> {
-        if let Some(pixels) = self.decoded.get(&index.value()) {
-            return Ok(pixels.clone());
-        }
-        let image = asset.get(index, user)?;
-        let here = format!("{} of {user}", place("images", index.value(), image.name.as_deref()));
-        let pixels = match (image.buffer_view, image.uri.as_deref()) {
-            (Some(view), _) => self.decode(asset, &view_bytes(asset, view, &here)?, &here)?,
-            (None, Some(uri)) => self.decode(asset, &read_uri(asset, uri, &here)?, &here)?,
-            (None, None) => return Err(asset.invalid(here, "it has neither a bufferView nor a uri")),
-        };
-        self.decoded.insert(index.value(), pixels.clone());
-        Ok(pixels)
+    /// None yet.
+    pub fn new(missing_texture: MissingTexture) -> Self {
+        Self { by_use: BTreeMap::new(), files: ImageFiles::new(missing_texture) }
     }
 
-    fn decode(&mut self, asset: &Asset, bytes: &[u8], here: &str) -> Result<Pixels> {
-        let broken = |e: image::ImageError| asset.invalid(here, format!("it cannot be decoded: {e}"));
-        let format = image::guess_format(bytes).map_err(|_| asset.invalid(here, "it is neither PNG nor JPEG"))?;
-        if !matches!(format, ImageFormat::Png | ImageFormat::Jpeg) {
-            return Err(asset.unsupported(format!("{here} is {format:?}; convert it to PNG or JPEG")));
-        }
-        let mut limits = Limits::default();
-        limits.max_image_width = Some(MAX_EDGE);
-        limits.max_image_height = Some(MAX_EDGE);
-        limits.max_alloc = Some(MAX_IMAGE_BYTES);
-        let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
-        reader.limits(limits);
-        let decoder = reader.into_decoder().map_err(broken)?;
-        let (width, height) = decoder.dimensions();
-        self.charge(asset, u64::from(width) * u64::from(height), bytes.len() as u64, here)?;
-        let rgba = DynamicImage::from_decoder(decoder).map_err(broken)?.into_rgba8().into_raw();
-        Ok(Pixels { width, height, rgba: bytemuck::cast_slice(&rgba).into() })
+    /// What is wrong with the images that magenta stands for.
+    pub fn into_replaced(self) -> Vec<String> {
+        self.files.replaced
     }
 
-    /// Refuses an image whose pixels its bytes cannot hold, or that is too large, before anything is allocated.
-    fn charge(&mut self, asset: &Asset, pixels: u64, encoded_bytes: u64, here: &str) -> Result<()> {
-        let too_large = |limit: u64| -> Error {
-            asset.unsupported(format!(
-                "{here} has {pixels} pixels, past the limit of {} MiB; scale it down",
-                limit >> 20
-            ))
-        };
-        if pixels == 0 {
-            return Err(asset.invalid(here, "it has no pixels"));
+    /// Image `index` with pixels that mean `encoding`. Its header is read at the first call, its pixels when they are
+    /// needed. `user` is the material that asks, for messages.
+    pub fn get(
+        &mut self,
+        asset: &Asset,
+        index: Index<json::Image>,
+        encoding: Encoding,
+        user: &str,
+    ) -> Result<Arc<Image>> {
+        let key = (index.value(), encoding);
+        if let Some(image) = self.by_use.get(&key) {
+            return Ok(image.clone());
         }
-        if pixels > encoded_bytes.saturating_mul(MAX_PIXELS_PER_BYTE) {
-            let what = format!("its header promises {pixels} pixels, too many for its {encoded_bytes} bytes");
-            return Err(asset.invalid(here, what));
-        }
-        self.bytes += pixels * 4;
-        match (pixels * 4 > MAX_IMAGE_BYTES, self.bytes > MAX_FILE_BYTES) {
-            (true, _) => Err(too_large(MAX_IMAGE_BYTES)),
-            (_, true) => Err(too_large(MAX_FILE_BYTES)),
-            _ => Ok(()),
-        }
+        let image = asset.get(index, user);
+        let name = image.as_ref().ok().and_then(|image| image.name.as_deref());
+        let here = format!("{} of {user}", place("images", index.value(), name));
+        let bytes = image.and_then(|image| bytes_of(asset, image, &here));
+        let encoded = self.files.open(&asset.path, &here, bytes)?;
+        let image = Image::new(encoded.width, encoded.height, encoding, move || encoded.pixels());
+        Ok(self.by_use.entry(key).or_insert(Arc::new(image)).clone())
+    }
+}
+
+fn bytes_of(asset: &Asset, image: &json::Image, here: &str) -> Result<Bytes> {
+    match (image.buffer_view, image.uri.as_deref()) {
+        (Some(view), _) => view_bytes(asset, view, here),
+        (None, Some(uri)) => Ok(read_uri(asset, uri, here)?.into()),
+        (None, None) => Err(asset.invalid(here, "it has neither a bufferView nor a uri")),
     }
 }

@@ -4,29 +4,39 @@
 //! trusts its input, so that layers are checked before they get there ([`resolver`], [`crate_check`]) and a panic of the
 //! crate is an error of the file.
 
+mod binding;
 mod crate_check;
+mod instancer;
+mod light;
+mod material;
+mod mesh;
+mod meshes;
+mod network;
+mod polygon;
+mod primvar;
 mod resolver;
 mod splats;
+mod texture;
+mod values;
+mod walk;
 mod xform;
 
+use std::cell::Cell;
 use std::path::Path;
 
-use glam::DAffine3;
 use openusd::sdf::Value;
-use openusd::usd::{Prim, Stage, TimeCode};
+use openusd::usd::{Attribute, Prim, Stage, TimeCode};
 
 use self::resolver::{FolderResolver, PACKAGE_MAGIC};
+use self::values::{integers, vectors};
 use crate::error::{Error, Result};
 use crate::job::Frame;
 
+pub(super) use meshes::{contents, load};
 pub(super) use splats::open_splats;
 
 /// The reader recurses over composition arcs and namespaces.
 const STACK_BYTES: usize = 256 << 20;
-
-/// So many prims are visited, or one for every 4 bytes of the file, each counted by its depth: references multiply what a
-/// small file holds, and composing a prim takes longer the deeper it stands.
-const MIN_WORK: usize = 1 << 15;
 
 /// Whether a file's bytes are a USD layer, or a package whose first entry is one.
 pub(super) fn is_usd(bytes: &[u8]) -> bool {
@@ -47,15 +57,9 @@ struct OpenedStage<'a> {
     stage: Stage,
     metres_per_unit: f64,
     frame: Frame,
-}
-
-/// What a prim inherits.
-#[derive(Clone)]
-struct Inherited {
-    /// The stage's coordinates, in metres, from the prim's.
-    file_from_prim: DAffine3,
-    /// Whether it is seen in final renders: its purpose is `default` or `render`.
-    rendered: bool,
+    resolver: FolderResolver,
+    /// What has been visited so far.
+    work: Cell<usize>,
 }
 
 /// Opens the stage at `path` and hands it to `read`, on a thread of its own: a stage stays on one, it needs a deep stack,
@@ -80,18 +84,14 @@ impl<'a> OpenedStage<'a> {
         let name = path.to_str().ok_or_else(|| Error::unsupported(path, "USD with a path that is not UTF-8"))?;
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let resolver = FolderResolver::new(folder).map_err(|source| Error::read(path, source))?;
-        let stage = Stage::builder().resolver(resolver).open(name);
+        let stage = Stage::builder().resolver(resolver.clone()).open(name);
         let stage = stage.map_err(|error| Error::invalid(path, "stage", format!("{error:#}")))?;
-        // What is left out silently would be missing in the bake.
-        if let Some(error) = stage.composition_errors().first() {
-            return Err(Error::invalid(path, "stage", error.to_string()));
-        }
         let metadata =
             |name: &str| stage.stage_metadata(name).map_err(|error| Error::invalid(path, name, format!("{error:#}")));
         // Without one a stage is in centimetres (UsdGeomLinearUnits).
         let metres_per_unit = match metadata("metersPerUnit")? {
             None => 0.01,
-            Some(value) => xform::numbers(&value).filter(|it| it.len() == 1).map_or(f64::NAN, |it| it[0]),
+            Some(value) => values::numbers(&value).filter(|it| it.len() == 1).map_or(f64::NAN, |it| it[0]),
         };
         if !(1e-9..=1e9).contains(&metres_per_unit) {
             return Err(Error::invalid(path, "metersPerUnit", "it is not a positive number"));
@@ -102,67 +102,31 @@ impl<'a> OpenedStage<'a> {
             Some(Value::Token(axis)) if axis == "Z" => Frame::RFU,
             Some(other) => return Err(Error::invalid(path, "upAxis", format!("{other:?} is neither Y nor Z"))),
         };
-        Ok(Self { path, stage, metres_per_unit, frame })
+        let opened = Self { path, stage, metres_per_unit, frame, resolver, work: Cell::new(0) };
+        opened.check_composition()?;
+        Ok(opened)
     }
 
-    /// Calls `visit` for every prim that is defined, active, visible and rendered, parents first, children in order.
-    fn walk(&self, mut visit: impl FnMut(&Prim, &DAffine3) -> Result<()>) -> Result<()> {
-        let metres = DAffine3::from_scale(glam::DVec3::splat(self.metres_per_unit));
-        let root = Inherited { file_from_prim: metres, rendered: true };
-        let mut pending = vec![(self.stage.prim("/"), root)];
-        let bytes = std::fs::metadata(self.path).map_err(|source| Error::read(self.path, source))?.len();
-        let most = usize::try_from(bytes / 4).unwrap_or(usize::MAX).max(MIN_WORK);
-        let mut work = 0;
-        while let Some((parent, inherited)) = pending.pop() {
-            let names = self.ask(&parent, parent.child_names())?;
-            // The reader recurses without end over paths whose names hold braces.
-            if let Some(name) = names.iter().find(|name| !name.chars().all(|c| c.is_alphanumeric() || c == '_')) {
-                return Err(self.invalid(&parent, format!("'{name}' is no name for a prim")));
-            }
-            let children = self.ask(&parent, parent.children())?;
-            for prim in children.into_iter().rev() {
-                work += prim.path().as_str().matches('/').count();
-                if work > most {
-                    let what = format!("more prims than its size justifies, references counted, at {}", prim.path());
-                    return Err(Error::unsupported(self.path, what));
-                }
-                if let Some(inherited) = self.inherit(&prim, &inherited)? {
-                    pending.push((prim, inherited));
-                }
-            }
-            // The pseudo-root has no content, and its own children are on the stack above it.
-            if parent.path().as_str() != "/" && inherited.rendered {
-                visit(&parent, &inherited.file_from_prim)?;
-            }
+    /// Refuses a stage of which a part was found missing so far: left out silently, it would be missing in the bake.
+    fn check_composition(&self) -> Result<()> {
+        match self.stage.composition_errors().first() {
+            Some(error) => Err(Error::invalid(self.path, "stage", error.to_string())),
+            None => Ok(()),
         }
-        Ok(())
     }
 
-    /// What `prim` passes on, or `None` if neither it nor what is below it is seen.
-    fn inherit(&self, prim: &Prim, parent: &Inherited) -> Result<Option<Inherited>> {
-        let drawn = self.ask(prim, prim.is_active())?
-            && self.ask(prim, prim.is_defined())?
-            && !self.ask(prim, prim.is_abstract())?;
-        if !drawn || self.token(prim, "visibility")?.as_deref() == Some("invisible") {
-            return Ok(None);
-        }
-        let rendered = match self.token(prim, "purpose")?.as_deref() {
-            None => parent.rendered,
-            Some(purpose) => purpose == "default" || purpose == "render",
-        };
-        let (parent_from_prim, resets) = xform::local(self, prim)?;
-        let from =
-            if resets { DAffine3::from_scale(glam::DVec3::splat(self.metres_per_unit)) } else { parent.file_from_prim };
-        let file_from_prim = from * parent_from_prim;
-        if !file_from_prim.is_finite() {
-            return Err(self.invalid(prim, "its transform is not finite"));
-        }
-        Ok(Some(Inherited { file_from_prim, rendered }))
+    /// The type of a prim; empty without one.
+    fn kind(&self, prim: &Prim) -> Result<String> {
+        Ok(self.ask(prim, prim.type_name())?.map_or_else(String::new, |kind| kind.to_string()))
     }
 
     /// The value of an attribute: its default, else its first time sample. A blocked value is none.
     fn value(&self, prim: &Prim, name: &str) -> Result<Option<Value>> {
-        let attribute = prim.attribute(name);
+        self.attribute_value(prim, &prim.attribute(name))
+    }
+
+    /// The value of `attribute`, for `prim`.
+    fn attribute_value(&self, prim: &Prim, attribute: &Attribute) -> Result<Option<Value>> {
         let mut value = self.ask(prim, attribute.get::<Value>())?;
         if value.is_none()
             && let Some(&first) = self.ask(prim, attribute.time_sample_times())?.first()
@@ -172,12 +136,30 @@ impl<'a> OpenedStage<'a> {
         Ok(value.filter(|value| !matches!(value, Value::ValueBlock | Value::None)))
     }
 
+    /// Metadata of the prim or property at `path`, for `prim`.
+    fn metadata(&self, prim: &Prim, path: &openusd::sdf::Path, name: &str) -> Result<Option<Value>> {
+        self.ask(prim, self.stage.attribute(path.clone()).get_metadata::<Value>(name))
+    }
+
     fn token(&self, prim: &Prim, name: &str) -> Result<Option<String>> {
         match self.value(prim, name)? {
             None => Ok(None),
             Some(Value::Token(token)) => Ok(Some(token.to_string())),
             Some(_) => Err(self.invalid(prim, format!("{name} is not a token"))),
         }
+    }
+
+    /// The elements of the integer array `name`, none where it is absent.
+    fn integers(&self, prim: &Prim, name: &str) -> Result<Vec<i64>> {
+        let Some(value) = self.value(prim, name)? else { return Ok(Vec::new()) };
+        integers(value).ok_or_else(|| self.invalid(prim, format!("{name} is not an array of integers")))
+    }
+
+    /// The vectors of the array `name`, if it is there.
+    fn vectors<const N: usize>(&self, prim: &Prim, name: &str) -> Result<Option<Vec<[f32; N]>>> {
+        let Some(value) = self.value(prim, name)? else { return Ok(None) };
+        let vectors = vectors(value);
+        vectors.map(Some).ok_or_else(|| self.invalid(prim, format!("{name} is not an array of {N} numbers each")))
     }
 
     /// `answer` of the reader to a question about `prim`.

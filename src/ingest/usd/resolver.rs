@@ -15,16 +15,16 @@ pub const PACKAGE_MAGIC: &[u8] = b"PK\x03\x04";
 const MAX_NESTING: usize = 256;
 
 /// Resolves assets inside one folder.
+#[derive(Clone)]
 pub struct FolderResolver {
     /// Canonical.
     folder: PathBuf,
-    paths: DefaultResolver,
 }
 
 impl FolderResolver {
     /// For the layers in `folder` and below it.
     pub fn new(folder: &Path) -> io::Result<Self> {
-        Ok(Self { folder: folder.canonicalize()?, paths: DefaultResolver::new() })
+        Ok(Self { folder: folder.canonicalize()? })
     }
 
     /// The file that holds `asset`, and the entry in it where it is an archive.
@@ -39,25 +39,10 @@ impl FolderResolver {
         }
         Ok((file, entry))
     }
-}
 
-impl Resolver for FolderResolver {
-    fn create_identifier(&self, asset_path: &str, anchor: Option<&ResolvedPath>) -> String {
-        self.paths.create_identifier(asset_path, anchor)
-    }
-
-    fn resolve(&self, asset_path: &str) -> Option<ResolvedPath> {
-        // Before the other looks into it: an archive's directory is read to resolve an entry.
-        self.file_of(asset_path).ok()?;
-        self.paths.resolve(asset_path)
-    }
-
-    fn resolve_for_new_asset(&self, _: &str) -> Option<ResolvedPath> {
-        None
-    }
-
-    fn open_asset(&self, resolved_path: &ResolvedPath) -> io::Result<Box<dyn Asset>> {
-        let (file, entry) = self.file_of(&resolved_path.to_string_lossy())?;
+    /// The bytes of the asset at a resolved path, as they are.
+    pub fn read(&self, resolved: &str) -> io::Result<Vec<u8>> {
+        let (file, entry) = self.file_of(resolved)?;
         if !file.metadata()?.is_file() {
             return Err(io::Error::other("it is not a file"));
         }
@@ -70,12 +55,33 @@ impl Resolver for FolderResolver {
             bytes.drain(range.end..);
             bytes.drain(..range.start);
         }
+        Ok(bytes)
+    }
+}
+
+impl Resolver for FolderResolver {
+    fn create_identifier(&self, asset_path: &str, anchor: Option<&ResolvedPath>) -> String {
+        DefaultResolver::new().create_identifier(asset_path, anchor)
+    }
+
+    fn resolve(&self, asset_path: &str) -> Option<ResolvedPath> {
+        // Before the other looks into it: an archive's directory is read to resolve an entry.
+        self.file_of(asset_path).ok()?;
+        DefaultResolver::new().resolve(asset_path)
+    }
+
+    fn resolve_for_new_asset(&self, _: &str) -> Option<ResolvedPath> {
+        None
+    }
+
+    fn open_asset(&self, resolved_path: &ResolvedPath) -> io::Result<Box<dyn Asset>> {
+        let bytes = self.read(&resolved_path.to_string_lossy())?;
         check_layer(&bytes)?;
         Ok(Box::new(Cursor::new(bytes)))
     }
 
     fn identity(&self) -> String {
-        self.paths.identity()
+        DefaultResolver::new().identity()
     }
 }
 

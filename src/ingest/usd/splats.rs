@@ -13,6 +13,7 @@ use openusd::gf;
 use openusd::sdf::Value;
 use openusd::usd::Prim;
 
+use super::walk::Below;
 use super::{OpenedStage, with_stage};
 use crate::error::{Error, Result};
 use crate::ingest::CHUNK;
@@ -38,9 +39,8 @@ pub fn open_splats(path: &Path) -> Result<SplatFile> {
         let mut orders = Vec::new();
         let mut placed = 0usize;
         stage.walk(|prim, file_from_prim| {
-            let kind = stage.ask(prim, prim.type_name())?;
-            if kind.is_none_or(|kind| kind != "ParticleField3DGaussianSplat") {
-                return Ok(());
+            if stage.kind(prim)? != "ParticleField3DGaussianSplat" {
+                return Ok(Below::Visit);
             }
             let particles = Particles::read(stage, prim)?;
             placed = placed.saturating_add(particles.count());
@@ -54,7 +54,7 @@ pub fn open_splats(path: &Path) -> Result<SplatFile> {
             }
             orders.push(order(stage, prim)?);
             parts.push(SplatPart { file_from_part: *file_from_prim, source: Box::new(Arc::new(particles)) });
-            Ok(())
+            Ok(Below::Visit)
         })?;
         if placed == 0 {
             let what =

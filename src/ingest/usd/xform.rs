@@ -5,6 +5,7 @@ use openusd::sdf::Value;
 use openusd::usd::Prim;
 
 use super::OpenedStage;
+use super::values::numbers;
 use crate::error::Result;
 
 /// Parent from `prim`, and whether the prim leaves its parent's transform out.
@@ -84,23 +85,5 @@ fn matrix_of(kind: &str, values: &[f64]) -> Option<DAffine3> {
             };
             DAffine3::from_quat(rotation)
         }
-    })
-}
-
-/// The numbers of a scalar, vector, quaternion (w x y z) or matrix of any precision.
-pub fn numbers(value: &Value) -> Option<Vec<f64>> {
-    Some(match value {
-        Value::Int(x) => vec![f64::from(*x)],
-        Value::Half(x) => vec![x.to_f64()],
-        Value::Float(x) => vec![f64::from(*x)],
-        Value::Double(x) => vec![*x],
-        Value::Vec3h(v) => vec![v.x.to_f64(), v.y.to_f64(), v.z.to_f64()],
-        Value::Vec3f(v) => vec![f64::from(v.x), f64::from(v.y), f64::from(v.z)],
-        Value::Vec3d(v) => vec![v.x, v.y, v.z],
-        Value::Quath(q) => vec![q.w.to_f64(), q.x.to_f64(), q.y.to_f64(), q.z.to_f64()],
-        Value::Quatf(q) => vec![f64::from(q.w), f64::from(q.x), f64::from(q.y), f64::from(q.z)],
-        Value::Quatd(q) => vec![q.w, q.x, q.y, q.z],
-        Value::Matrix4d(matrix) => matrix.0.to_vec(),
-        _ => return None,
     })
 }
