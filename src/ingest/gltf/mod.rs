@@ -41,7 +41,7 @@ use nodes::Hierarchy;
 pub(super) use container::is_gltf;
 pub(super) use splats::open_splats;
 
-/// What was read from a glTF file.
+/// What was read from a mesh file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct MeshReport {

@@ -13,6 +13,7 @@ mod mesh;
 mod meshes;
 mod network;
 mod polygon;
+mod preview;
 mod primvar;
 mod resolver;
 mod splats;
