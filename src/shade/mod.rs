@@ -1,6 +1,7 @@
 //! What leaves a surface: textures and materials.
 
 pub mod bsdf;
+pub mod sampling;
 pub mod texture;
 mod unlit;
 
