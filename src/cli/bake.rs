@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::Args;
 use splatprobe::job::{
-    Crop, Footprint, Frame, Job, MeshInput, Order, Pixel, ProgressStyle, ShDirection, SplatInput, Surface, Tracer,
-    Transform, parse_numbers,
+    Crop, Footprint, Frame, Job, MeshInput, MissingTexture, Order, Pixel, ProgressStyle, ShDirection, SplatInput,
+    Surface, Tracer, Transform, parse_numbers,
 };
 use splatprobe::scene::SplatEncoding;
 use splatprobe::{Error, Result, pipeline};
@@ -18,7 +18,7 @@ use super::progress;
 /// The job file holds the same settings as the flags (see `splatprobe schema job`); a flag overrides the job file.
 ///
 /// Flags that describe an input (--splat-frame, --splat-transform, --splat-encoding, --lod, --crop, --min-opacity;
-/// --mesh-transform, --mesh-scene) belong to the inputs in order, the first to the first; given once, they belong to all.
+/// --mesh-transform, --mesh-scene, --variant, --missing-texture) belong to the inputs in order, the first to the first; given once, they belong to all.
 ///
 /// A file that holds both splats and meshes brings both, whichever of --splats and --mesh names it; named by both, each
 /// kind stands where the flags of its kind say.
@@ -61,6 +61,12 @@ pub struct Bake {
     /// Name or index of the scene in the mesh file [default: the file's].
     #[arg(long, value_name = "SCENE", help_heading = "Inputs")]
     mesh_scene: Vec<String>,
+    /// Material variant of the mesh file, by name [default: none].
+    #[arg(long, value_name = "NAME", help_heading = "Inputs")]
+    variant: Vec<String>,
+    /// What stands for an image of the mesh file that is missing or broken [default: error].
+    #[arg(long, value_name = "WHAT", help_heading = "Inputs")]
+    missing_texture: Vec<MissingTexture>,
     /// Linear radiance of rays that leave the scene [default: 0,0,0].
     #[arg(long, value_name = "R,G,B", value_parser = parse_numbers::<3>, allow_hyphen_values = true, help_heading = "Inputs")]
     background: Option<[f64; 3]>,
@@ -116,6 +122,13 @@ pub struct Bake {
     /// How light leaves a mesh's surface [default: unlit].
     #[arg(long, value_name = "MODEL", help_heading = "Tracing")]
     surface: Option<Surface>,
+    /// Refine surfaces lit by path tracing to this standard error, a share of their light; 0 always takes --max-paths
+    /// [default: 0.02].
+    #[arg(long, value_name = "SHARE", help_heading = "Tracing")]
+    noise: Option<f32>,
+    /// Most paths per ray that meets a surface [default: 1024].
+    #[arg(long, value_name = "N", help_heading = "Tracing")]
+    max_paths: Option<u32>,
     /// What computes the radiance along rays [default: beam].
     #[arg(long, value_name = "TRACER", help_heading = "Tracing")]
     tracer: Option<Tracer>,
@@ -153,6 +166,8 @@ impl Bake {
         }
         describe("--mesh-transform", self.mesh_transform, &mut job.meshes, |input, world| input.transform = world)?;
         describe("--mesh-scene", self.mesh_scene, &mut job.meshes, |input, scene| input.scene = Some(scene))?;
+        describe("--variant", self.variant, &mut job.meshes, |input, name| input.variant = Some(name))?;
+        describe("--missing-texture", self.missing_texture, &mut job.meshes, |input, it| input.missing_texture = it)?;
 
         // A flag for one kind of placement replaces the other kind in the job file.
         if self.grid.is_some() {
@@ -179,6 +194,8 @@ impl Bake {
         set(&mut job.t_cutoff, self.t_cutoff);
         set(&mut job.t_near, self.t_near);
         set(&mut job.surface, self.surface);
+        set(&mut job.noise, self.noise);
+        set(&mut job.max_paths, self.max_paths);
         set(&mut job.tracer, self.tracer);
         set(&mut job.threads, self.threads);
         set(&mut job.progress, self.progress);
@@ -255,17 +272,18 @@ mod tests {
         let text = r#"{"splats": [{"path": "a.ply"}], "placement": {"probes": [[1, 2, 3]]}, "faceSize": 8}"#;
         std::fs::write(&path, text).unwrap();
         let line = "--splats b.ply --splat-frame rub --splat-transform s=2 --splat-encoding lin-scene --crop sphere:-1,2,3,4 \
-            --min-opacity 0.25 --lod 2 --mesh c.glb --mesh-transform t=1,2,3 --mesh-scene 1 --background 1,2,3 -o out --pixel float --distance --stats s.json \
+            --min-opacity 0.25 --lod 2 --mesh c.glb --mesh-transform t=1,2,3 --mesh-scene 1 --variant red --missing-texture magenta --background 1,2,3 -o out --pixel float --distance --stats s.json \
             --bounds -1,-2,-3,1,2,3 --grid 2,3,4 --overlap 0.5 --face-size 16 --samples 2 --footprint train:800 --order cameraDistance \
-            --sh-direction ray --t-cutoff 0 --t-near 0.5 --surface unlit --tracer reference --threads 3 --progress json";
+            --sh-direction ray --t-cutoff 0 --t-near 0.5 --surface path --noise 0.5 --max-paths 64 --tracer reference --threads 3 --progress json";
         let line: Vec<&str> = [path.to_str().unwrap()].into_iter().chain(line.split_whitespace()).collect();
         let expected = r#"{
             "splats": [{"path": "b.ply", "frame": "rub", "transform": {"scale": [2, 2, 2]}, "encoding": "lin-scene",
                 "lod": 2, "crop": {"sphere": [-1, 2, 3, 4]}, "minOpacity": 0.25}],
-            "meshes": [{"path": "c.glb", "transform": {"translation": [1, 2, 3]}, "scene": "1"}],
+            "meshes": [{"path": "c.glb", "transform": {"translation": [1, 2, 3]}, "scene": "1",
+                "variant": "red", "missingTexture": "magenta"}],
             "output": "out", "stats": "s.json", "progress": "json", "threads": 3, "background": [1, 2, 3],
             "pixel": "float", "distance": true, "faceSize": 16, "samples": 2, "footprint": "train:800", "order": "cameraDistance",
-            "shDirection": "ray", "tCutoff": 0, "tNear": 0.5, "surface": "unlit", "tracer": "reference",
+            "shDirection": "ray", "tCutoff": 0, "tNear": 0.5, "surface": "path", "noise": 0.5, "maxPaths": 64, "tracer": "reference",
             "placement": {"bounds": [-1, -2, -3, 1, 2, 3], "grid": [2, 3, 4], "overlap": 0.5}
         }"#;
         assert_eq!(job(&line).unwrap(), serde_json::from_str(expected).unwrap());

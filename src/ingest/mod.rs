@@ -27,7 +27,7 @@ use self::source::SplatFile;
 use crate::error::{Error, Result};
 use crate::job::{MeshInput, SplatInput};
 use crate::scene::bounds::Bounds;
-use crate::scene::{Meshes, Scene};
+use crate::scene::{Light, Meshes, Scene};
 
 pub use report::{Quantiles, SceneReport, SplatReport};
 pub use sanitize::Dropped;
@@ -47,15 +47,13 @@ const CHUNK: usize = 4096;
 pub fn load_scene(splats: &[SplatInput], meshes: &[MeshInput]) -> Result<(Scene, SceneReport)> {
     let requests = Requests::new(splats, meshes)?;
     let loaded = splats::load(&requests.splats)?;
-    let (origin, meshes, mesh_reports) = match requests.splats.is_empty() {
+    let (origin, loaded_meshes) = match requests.splats.is_empty() {
         true => load_meshes_alone(&requests.meshes)?,
-        false => {
-            let (loaded_meshes, reports) = load_meshes(&requests.meshes, loaded.origin)?;
-            (loaded.origin, loaded_meshes, reports)
-        }
+        false => (loaded.origin, load_meshes(&requests.meshes, loaded.origin)?),
     };
-    let scene = Scene { origin, splats: loaded.splats, meshes, encoding: loaded.encoding, ..Scene::default() };
-    Ok((scene, SceneReport { splats: loaded.reports, meshes: mesh_reports }))
+    let LoadedMeshes { meshes, lights, reports } = loaded_meshes;
+    let scene = Scene { origin, splats: loaded.splats, meshes, lights, encoding: loaded.encoding, ..Scene::default() };
+    Ok((scene, SceneReport { splats: loaded.reports, meshes: reports }))
 }
 
 /// What is in the splat file at `path`, understood with the format's defaults. Errors as in [`load_scene`].
@@ -74,30 +72,39 @@ pub fn inspect(path: &Path) -> Result<SceneReport> {
     load_scene(&splats, &meshes).map(|(_, report)| report)
 }
 
-/// All mesh inputs, merged, with positions relative to `origin`.
-fn load_meshes(inputs: &[MeshInput], origin: DVec3) -> Result<(Meshes, Vec<MeshReport>)> {
-    let mut meshes = Meshes::default();
-    let reports = inputs.iter().map(|input| gltf::load(input, origin, &mut meshes)).collect::<Result<_>>()?;
-    Ok((meshes, reports))
+/// All mesh inputs, merged.
+#[derive(Default)]
+struct LoadedMeshes {
+    meshes: Meshes,
+    lights: Vec<Light>,
+    reports: Vec<MeshReport>,
 }
 
-/// All mesh inputs, merged, and an origin for a scene that has nothing else in it.
+/// All mesh inputs, with positions relative to `origin`.
+fn load_meshes(inputs: &[MeshInput], origin: DVec3) -> Result<LoadedMeshes> {
+    let mut loaded = LoadedMeshes::default();
+    for input in inputs {
+        loaded.reports.push(gltf::load(input, origin, &mut loaded.meshes, &mut loaded.lights)?);
+    }
+    Ok(loaded)
+}
+
+/// All mesh inputs, and an origin for a scene that has nothing else in it.
 ///
 /// Where a mesh lies is known when it has been read, so that a scene which lies elsewhere than the first input's
 /// transform says is read a second time.
-fn load_meshes_alone(inputs: &[MeshInput]) -> Result<(DVec3, Meshes, Vec<MeshReport>)> {
+fn load_meshes_alone(inputs: &[MeshInput]) -> Result<(DVec3, LoadedMeshes)> {
     let guess = inputs.first().map_or(DVec3::ZERO, |input| {
         let placed = DVec3::from(input.transform.translation);
         origin_for(Bounds { min: placed, max: placed })
     });
-    let (meshes, reports) = load_meshes(inputs, guess)?;
-    let report = SceneReport { splats: Vec::new(), meshes: reports };
+    let loaded = load_meshes(inputs, guess)?;
+    let report = SceneReport { splats: Vec::new(), meshes: loaded.reports.clone() };
     let origin = report.mesh_bounds().map_or(guess, origin_for);
     if origin == guess {
-        return Ok((origin, meshes, report.meshes));
+        return Ok((origin, loaded));
     }
-    let (meshes, reports) = load_meshes(inputs, origin)?;
-    Ok((origin, meshes, reports))
+    Ok((origin, load_meshes(inputs, origin)?))
 }
 
 /// The scene origin for a scene that fills `bounds`, in world metres.

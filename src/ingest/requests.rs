@@ -54,8 +54,7 @@ impl<'a> Requests<'a> {
             let scene = as_meshes.and_then(|mesh| meshes[mesh].scene.as_deref());
             requests.splats.push(SplatRequest { input: Cow::Borrowed(input), scene, field: format!("splats[{i}]") });
             if as_meshes.is_none() && contents(&input.path, None)?.meshes {
-                let transform = input.transform;
-                requests.meshes.push(MeshInput { path: input.path.clone(), transform, scene: None });
+                requests.meshes.push(MeshInput { transform: input.transform, ..MeshInput::new(&input.path) });
             }
         }
         for (i, (input, file)) in meshes.iter().zip(&mesh_files).enumerate() {

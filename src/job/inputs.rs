@@ -64,12 +64,43 @@ pub struct MeshInput {
     /// Name or index of the scene in the file. Default: the file's default scene.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scene: Option<String>,
+    /// Name of the material variant (KHR_materials_variants). Default: none, the materials as the file's primitives name
+    /// them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub variant: Option<String>,
+    /// What stands for an image that is missing or broken. Default: error.
+    #[serde(default, skip_serializing_if = "MissingTexture::is_error")]
+    pub missing_texture: MissingTexture,
+}
+
+/// What to do about an image that a material names and that is missing or broken.
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
+pub enum MissingTexture {
+    /// The bake fails and names it. The default.
+    #[default]
+    Error,
+    /// Its pixels are magenta.
+    Magenta,
+}
+
+impl MissingTexture {
+    fn is_error(&self) -> bool {
+        *self == Self::Error
+    }
 }
 
 impl MeshInput {
     /// A file's default scene, standing where it says.
     pub fn new(path: impl Into<PathBuf>) -> Self {
-        Self { path: path.into(), transform: Transform::default(), scene: None }
+        Self {
+            path: path.into(),
+            transform: Transform::default(),
+            scene: None,
+            variant: None,
+            missing_texture: MissingTexture::default(),
+        }
     }
 }
 

@@ -2,12 +2,17 @@
 
 pub mod bounds;
 pub mod colour;
+pub mod light;
+pub mod material;
 pub mod mesh;
 pub mod sh;
 pub mod splats;
+pub mod texture;
 
 pub use bounds::Bounds;
 pub use colour::{DisplayRgb, LinearRgb, SplatEncoding};
+pub use light::Light;
+pub use material::Material;
 pub use mesh::Meshes;
 pub use splats::Splats;
 
@@ -24,6 +29,8 @@ pub struct Scene {
     pub splats: Splats,
     /// The triangles of all mesh inputs.
     pub meshes: Meshes,
+    /// The lights without extent of all mesh inputs.
+    pub lights: Vec<Light>,
     /// How the splats' colours are encoded; decides the conversion after blending. In a scene of mixed encodings, that
     /// of the Gaussians that are not [linear](Splats::linear).
     pub encoding: SplatEncoding,

@@ -1,10 +1,10 @@
 //! Surfaces without light on them: emission plus base colour.
 
-use glam::{Vec3, Vec4, Vec4Swizzles};
+use glam::Vec3;
 
-use super::texture::sample;
-use crate::scene::LinearRgb;
-use crate::scene::mesh::{AlphaMode, Material, Meshes, TextureRef, VertexAttributes};
+use super::material::SurfacePoint;
+use crate::scene::material::AlphaMode;
+use crate::scene::{LinearRgb, Meshes};
 use crate::trace::{Fragment, Ray, SurfaceHit, Surfaces};
 
 /// The surfaces of `--surface unlit`: they send back emission plus base colour, alike in all directions.
@@ -13,32 +13,18 @@ use crate::trace::{Fragment, Ray, SurfaceHit, Surfaces};
 #[derive(Debug, Clone, Copy)]
 pub struct UnlitSurfaces<'a> {
     meshes: &'a Meshes,
+    ray_angle: f32,
 }
 
 impl<'a> UnlitSurfaces<'a> {
-    /// The surfaces of all triangles of `meshes`.
+    /// The surfaces of all triangles of `meshes`, for rays without width.
     pub fn new(meshes: &'a Meshes) -> Self {
-        Self { meshes }
+        Self { meshes, ray_angle: 0.0 }
     }
 
-    /// Attributes at a hit, between those of the triangle's corners.
-    fn attributes_at(&self, hit: &SurfaceHit) -> VertexAttributes {
-        let [a, b, c] = self.meshes.triangles[hit.triangle as usize].map(|v| &self.meshes.attributes[v as usize]);
-        let (to_b, to_c) = (hit.barycentric.x, hit.barycentric.y);
-        let to_a = 1.0 - to_b - to_c;
-        let uv = |set: usize| a.uv[set] * to_a + b.uv[set] * to_b + c.uv[set] * to_c;
-        VertexAttributes {
-            normal: a.normal * to_a + b.normal * to_b + c.normal * to_c,
-            uv: [uv(0), uv(1)],
-            colour: a.colour * to_a + b.colour * to_b + c.colour * to_c,
-        }
-    }
-
-    fn texture_at(&self, texture: Option<&TextureRef>, at: &VertexAttributes) -> Vec4 {
-        texture.map_or(Vec4::ONE, |texture| {
-            let uv = texture.uv_from_uv.transform_point2(at.uv[usize::from(texture.uv_set)]);
-            sample(&self.meshes.textures[texture.texture as usize], uv)
-        })
+    /// The same for rays that widen by `ray_angle` radians: textures are averaged over that.
+    pub fn for_rays_of(self, ray_angle: f64) -> Self {
+        Self { ray_angle: ray_angle as f32, ..self }
     }
 }
 
@@ -51,36 +37,25 @@ impl Surfaces for UnlitSurfaces<'_> {
         self.meshes.material_of(triangle as usize).double_sided
     }
 
-    fn fragment(&self, _ray: &Ray, hit: &SurfaceHit) -> Fragment {
-        let material = self.meshes.material_of(hit.triangle as usize);
-        if !hit.front && !material.double_sided {
-            return Fragment { alpha: 0.0, radiance: LinearRgb::default() };
+    fn fragment(&self, ray: &Ray, hit: &SurfaceHit) -> Fragment {
+        let point = SurfacePoint::new(self.meshes, ray, hit, self.ray_angle * hit.distance as f32);
+        if !hit.front && !point.material.double_sided {
+            return Fragment { alpha: 0.0, radiance: LinearRgb(Vec3::ZERO) };
         }
-        let at = self.attributes_at(hit);
-        let base = material.base_colour * at.colour * self.texture_at(material.base_colour_texture.as_ref(), &at);
-        let emission = if material.unlit || material.emissive.0 == Vec3::ZERO {
-            Vec3::ZERO
-        } else {
-            material.emissive.0 * self.texture_at(material.emissive_texture.as_ref(), &at).xyz()
-        };
-        Fragment { alpha: coverage(material, base.w), radiance: LinearRgb(base.xyz() + emission) }
-    }
-}
-
-/// What a material makes of the alpha of its base colour (glTF 2.0, section 3.9.4).
-fn coverage(material: &Material, alpha: f32) -> f32 {
-    match material.alpha {
-        AlphaMode::Opaque => 1.0,
-        AlphaMode::Mask { cutoff } => f32::from(u8::from(alpha >= cutoff)),
-        AlphaMode::Blend => alpha.clamp(0.0, 1.0),
+        let (base_colour, alpha) = point.base_colour_and_coverage();
+        Fragment { alpha, radiance: LinearRgb(base_colour + point.emission().0) }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::mesh::{Texture, Wrap};
-    use glam::{DVec3, Mat3, Vec2};
+    use crate::scene::Material;
+    use crate::scene::material::TextureRef;
+    use crate::scene::mesh::VertexAttributes;
+    use crate::scene::texture::{Encoding, Filter, Image, MipFilter, Texture, Wrap};
+    use glam::{DVec3, Mat3, Vec2, Vec4};
+    use std::sync::Arc;
 
     const RAY: Ray = Ray { origin: DVec3::Z, direction: DVec3::NEG_Z };
 
@@ -92,14 +67,17 @@ mod tests {
             ..VertexAttributes::default()
         };
         let attributes = vec![vertex(Vec2::ZERO, Vec3::X), vertex(Vec2::X, Vec3::Y), vertex(Vec2::Y, Vec3::Z)];
-        let rgba = [[255, 0, 0, 255], [0, 255, 0, 128], [0, 0, 255, 64], [255, 255, 255, 0]];
+        let rgba = vec![[255, 0, 0, 255], [0, 255, 0, 128], [0, 0, 255, 64], [255, 255, 255, 0]];
+        let image = Arc::new(Image::new(2, 2, Encoding::Srgb, || Ok(rgba)));
+        let filter = Filter { magnify_nearest: true, minify_nearest: true, mips: MipFilter::Linear };
         Meshes {
             positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y],
             attributes,
             triangles: vec![[0, 1, 2]],
             triangle_materials: vec![0],
             materials: vec![material],
-            textures: vec![Texture { width: 2, height: 2, rgba: rgba.into(), wrap: [Wrap::Repeat; 2], nearest: true }],
+            textures: vec![Texture { image, wrap: [Wrap::Repeat; 2], filter }],
+            ..Meshes::default()
         }
     }
 

@@ -22,6 +22,12 @@ const TRAINED_VARIANCE: f64 = 0.3;
 /// The largest Mahalanobis radius of a support, `sqrt(2 ln 255)` = 3.329, rounded up.
 const SUPPORT_RADIUS_MAX: f64 = 3.33;
 
+/// How wide what a ray stands for is, in radians, on faces of `rays_per_edge` rays squared: the root of the mean solid
+/// angle of all, `sqrt(4 pi / (6 n^2))`.
+pub fn ray_angle(rays_per_edge: u32) -> f64 {
+    (4.0 * std::f64::consts::PI / 6.0).sqrt() / f64::from(rays_per_edge)
+}
+
 /// How Gaussians are widened before rays meet them.
 #[derive(Debug, Default, Clone, Copy, PartialEq)]
 pub struct Footprint {
@@ -43,11 +49,9 @@ impl Footprint {
         }
     }
 
-    /// Widens by `sigma` texels of a face of `rays_per_edge` rays squared. A texel's edge is the root of the mean solid
-    /// angle of all, `sqrt(4 pi / (6 n^2))`.
+    /// Widens by `sigma` texels of a face of `rays_per_edge` rays squared.
     pub fn pixel(rays_per_edge: u32, sigma: f64) -> Self {
-        let edge = (4.0 * std::f64::consts::PI / 6.0).sqrt() / f64::from(rays_per_edge);
-        Self { sigma_per_metre: sigma * edge, keeps_energy: true }
+        Self { sigma_per_metre: sigma * ray_angle(rays_per_edge), keeps_energy: true }
     }
 
     /// Whether Gaussians stay as they are.

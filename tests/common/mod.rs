@@ -2,7 +2,8 @@
 #![allow(dead_code)] // each test binary uses its part
 
 use glam::{DQuat, DVec3, Vec2, Vec3};
-use splatprobe::scene::mesh::{Material, VertexAttributes};
+use splatprobe::scene::Material;
+use splatprobe::scene::mesh::VertexAttributes;
 use splatprobe::scene::splats::ALPHA_MIN;
 use splatprobe::scene::{LinearRgb, Scene, Splats, sh};
 use splatprobe::trace::{Footprint, Fragment, Ray, SurfaceHit, Surfaces, gaussian};

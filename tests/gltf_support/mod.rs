@@ -7,8 +7,8 @@ use glam::DVec3;
 use serde_json::{Value, json};
 use splatprobe::Result;
 use splatprobe::ingest::gltf::{MeshReport, load};
-use splatprobe::job::{MeshInput, Transform};
-use splatprobe::scene::Meshes;
+use splatprobe::job::MeshInput;
+use splatprobe::scene::{Light, Meshes};
 
 /// The folder of real data, or `None` (and a printed reason) where it is absent.
 pub fn data_folder() -> Option<PathBuf> {
@@ -23,13 +23,13 @@ pub fn data_folder() -> Option<PathBuf> {
 
 /// An input without transform or scene.
 pub fn input(path: impl Into<PathBuf>) -> MeshInput {
-    MeshInput { path: path.into(), transform: Transform::default(), scene: None }
+    MeshInput::new(path)
 }
 
 /// Loads a file relative to the world's origin.
 pub fn load_file(path: impl Into<PathBuf>) -> Result<(Meshes, MeshReport)> {
     let mut meshes = Meshes::default();
-    let report = load(&input(path), DVec3::ZERO, &mut meshes)?;
+    let report = load(&input(path), DVec3::ZERO, &mut meshes, &mut Vec::new())?;
     Ok((meshes, report))
 }
 
@@ -122,8 +122,28 @@ impl File {
 
     /// Loads it as a GLB.
     pub fn load(&self) -> Result<(Meshes, MeshReport)> {
+        self.load_with(|_| ())
+    }
+
+    /// Loads it as a GLB, the input changed by `change`.
+    pub fn load_with(&self, change: impl FnOnce(&mut MeshInput)) -> Result<(Meshes, MeshReport)> {
+        let mut lights = Vec::new();
+        self.load_all(change, &mut lights)
+    }
+
+    /// Loads it as a GLB with its lights.
+    pub fn load_all(
+        &self,
+        change: impl FnOnce(&mut MeshInput),
+        lights: &mut Vec<Light>,
+    ) -> Result<(Meshes, MeshReport)> {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        load_glb(&folder.path().join("test.glb"), &self.glb())
+        let mut input = input(folder.path().join("test.glb"));
+        std::fs::write(&input.path, self.glb()).expect("a temporary file");
+        change(&mut input);
+        let mut meshes = Meshes::default();
+        let report = load(&input, DVec3::ZERO, &mut meshes, lights)?;
+        Ok((meshes, report))
     }
 
     /// Loads it as a GLB and gives the error's message.

@@ -217,6 +217,7 @@ mod tests {
             folder: PathBuf::new(),
             root,
             local_transforms: Vec::new(),
+            materials: Vec::new(),
             splats: Default::default(),
             buffers: vec![buffer.into()],
         }

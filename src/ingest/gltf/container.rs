@@ -9,6 +9,8 @@ use gltf::json::{Index, Root};
 use serde::Deserialize;
 use serde_json::Value;
 
+use super::compressed;
+use super::material_json::MaterialJson;
 use super::primitives::SplatPrimitives;
 use super::resource::{self, Bytes};
 use crate::ingest::map;
@@ -23,11 +25,26 @@ pub fn is_gltf(bytes: &[u8]) -> bool {
     bytes.starts_with(MAGIC) || is_json() && bytes.windows(7).any(|window| window == b"\"asset\"")
 }
 
-/// Extensions whose effect on geometry, splats and unlit colour is implemented.
-const SUPPORTED: [&str; 8] = [
-    "KHR_materials_unlit",
+/// Extensions that are implemented.
+const SUPPORTED: [&str; 23] = [
+    "KHR_materials_anisotropy",
+    "KHR_materials_clearcoat",
+    "KHR_materials_dispersion",
     "KHR_materials_emissive_strength",
+    "KHR_materials_ior",
+    "KHR_materials_iridescence",
+    "KHR_materials_pbrSpecularGlossiness",
+    "KHR_materials_sheen",
+    "KHR_materials_specular",
+    "KHR_materials_transmission",
+    "KHR_materials_unlit",
+    "KHR_materials_variants",
+    "KHR_materials_volume",
+    "KHR_lights_punctual",
     "KHR_texture_transform",
+    "EXT_texture_webp",
+    "EXT_meshopt_compression",
+    "KHR_draco_mesh_compression",
     "KHR_mesh_quantization",
     "EXT_mesh_gpu_instancing",
     "KHR_gaussian_splatting",
@@ -35,21 +52,8 @@ const SUPPORTED: [&str; 8] = [
     "KHR_gaussian_splatting_compression_spz_2",
 ];
 
-/// Extensions that a file may require although they are not implemented: they shape reflected light, motion or
-/// metadata, and neither geometry nor emission nor base colour.
-const WITHOUT_EFFECT: [&str; 11] = [
-    "KHR_lights_punctual",
-    "KHR_materials_anisotropy",
-    "KHR_materials_clearcoat",
-    "KHR_materials_dispersion",
-    "KHR_materials_ior",
-    "KHR_materials_iridescence",
-    "KHR_materials_sheen",
-    "KHR_materials_specular",
-    "KHR_materials_variants",
-    "KHR_animation_pointer",
-    "KHR_xmp_json_ld",
-];
+/// Extensions that a file may require although they are passed over: motion and metadata.
+const WITHOUT_EFFECT: [&str; 2] = ["KHR_animation_pointer", "KHR_xmp_json_ld"];
 
 /// A parsed glTF file with its buffers. Every index in `root` is unchecked until it went through [`Asset::get`].
 pub struct Asset {
@@ -61,6 +65,8 @@ pub struct Asset {
     pub root: Root,
     /// `nodes` again, with the transforms in the f64 that JSON has; `root` rounds them to f32.
     pub local_transforms: Vec<LocalTransform>,
+    /// `materials` again, with all their extensions; as many as `root` has.
+    pub materials: Vec<MaterialJson>,
     /// Which primitives of which meshes are splats.
     pub splats: SplatPrimitives,
     /// Content of each buffer, cut to its byteLength.
@@ -86,6 +92,7 @@ impl Asset {
     pub fn read(path: &Path) -> Result<Self> {
         let (mut asset, glb_chunk) = Self::parse(path)?;
         asset.buffers = resource::read_buffers(&asset, glb_chunk)?;
+        compressed::unpack(&mut asset)?;
         Ok(asset)
     }
 
@@ -102,10 +109,17 @@ impl Asset {
             Some(nodes) => Vec::deserialize(nodes).map_err(|e| Error::invalid(path, "/nodes", e.to_string()))?,
             None => Vec::new(),
         };
+        let materials = value.get("materials").and_then(Value::as_array).into_iter().flatten().enumerate();
+        let materials = materials.map(|(i, material)| {
+            MaterialJson::deserialize(material)
+                .map_err(|e| Error::invalid(path, place("materials", i, None), e.to_string()))
+        });
+        let materials = materials.collect::<Result<Vec<_>>>()?;
         let splats = SplatPrimitives::of(path, &value)?;
         let root = Root::deserialize(value).map_err(|e| Error::invalid(path, "JSON", format!("not glTF 2.0: {e}")))?;
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_path_buf();
-        let asset = Self { path: path.to_path_buf(), folder, root, local_transforms, splats, buffers: Vec::new() };
+        let path = path.to_path_buf();
+        let asset = Self { path, folder, root, local_transforms, materials, splats, buffers: Vec::new() };
         let glb_chunk = glb_chunk.map(|chunk| Bytes::new(Arc::new(bytes), chunk));
         Ok((asset, glb_chunk))
     }

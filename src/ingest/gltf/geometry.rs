@@ -1,6 +1,6 @@
 //! Primitives to triangles: vertex attributes, topology, winding, and what is dropped.
 
-use glam::{DAffine3, DMat3, DVec3, Vec2, Vec3, Vec4};
+use glam::{DAffine3, DMat3, DVec3, DVec4, Vec2, Vec3, Vec4};
 use gltf::json::accessor::Type;
 use gltf::json::mesh::{Mode, Primitive, Semantic};
 use gltf::json::validation::Checked;
@@ -13,7 +13,7 @@ use crate::Result;
 use crate::scene::mesh::{Meshes, VertexAttributes};
 
 /// Most vertices and most triangles of a scene: instances multiply what a small file holds.
-const MAX_ELEMENTS: usize = 1 << 27;
+pub const MAX_ELEMENTS: usize = 1 << 27;
 
 /// A primitive's vertices, in the coordinates that its file gives them in, and its triangles.
 pub struct Geometry {
@@ -21,9 +21,13 @@ pub struct Geometry {
     pub positions: Vec<DVec3>,
     /// One per vertex; zero where the file has none.
     pub normals: Vec<DVec3>,
-    uv: [Vec<[f32; 2]>; 2],
+    /// Texture coordinates, sets 0 and 1; empty where the file has none.
+    pub uv: [Vec<[f32; 2]>; 2],
+    /// Tangents and the signs of the bitangents, one per vertex or none at all. Only read where a material needs them.
+    pub tangents: Vec<DVec4>,
+    /// Indices of vertices.
+    pub triangles: Vec<[u32; 3]>,
     colours: Vec<[f32; 4]>,
-    triangles: Vec<[u32; 3]>,
 }
 
 /// The accessor of an attribute, if the primitive has it.
@@ -41,7 +45,6 @@ impl Geometry {
         };
         let position = attribute(primitive, Semantic::Positions);
         let position = position.ok_or_else(|| asset.invalid(here, "it has no POSITION"))?;
-        refuse_draco(asset, primitive, position, here)?;
         let positions: Vec<[f32; 3]> = read_vectors(asset, position, &[Type::Vec3], &format!("{here} POSITION"))?;
         let count = positions.len();
         let normals = optional::<3>(asset, primitive, Semantic::Normals, &[Type::Vec3], count, here)?;
@@ -60,9 +63,31 @@ impl Geometry {
             positions: vectors(positions),
             normals: if normals.is_empty() { vec![DVec3::ZERO; count] } else { vectors(normals) },
             uv,
-            colours,
+            tangents: Vec::new(),
             triangles: triangles(mode, &corners),
+            colours,
         }))
+    }
+
+    /// Reads the primitive's tangents, if it has any. glTF ignores those of a primitive without normals.
+    pub fn read_tangents(&mut self, asset: &Asset, primitive: &Primitive, here: &str) -> Result<()> {
+        let count = self.positions.len();
+        if attribute(primitive, Semantic::Normals).is_some() {
+            let tangents = optional::<4>(asset, primitive, Semantic::Tangents, &[Type::Vec4], count, here)?;
+            self.tangents = tangents.into_iter().map(|tangent| DVec4::from(tangent.map(f64::from))).collect();
+        }
+        Ok(())
+    }
+
+    /// Appends a copy of vertex `v`, without tangent; gives its index.
+    pub fn repeat_vertex(&mut self, v: usize) -> u32 {
+        self.positions.push(self.positions[v]);
+        self.normals.push(self.normals[v]);
+        self.uv.iter_mut().filter(|uv| !uv.is_empty()).for_each(|uv| uv.push(uv[v]));
+        if let Some(&colour) = self.colours.get(v) {
+            self.colours.push(colour);
+        }
+        self.positions.len() as u32 - 1
     }
 
     /// Appends the geometry once per placement; see [`Geometry::append_one`].
@@ -122,6 +147,10 @@ impl Geometry {
                 *appended_as[v].get_or_insert_with(|| {
                     meshes.positions.push(stored[v]);
                     meshes.attributes.push(self.attributes(v, normal_map));
+                    if let Some(&tangent) = self.tangents.get(v) {
+                        meshes.tangents.resize(meshes.positions.len() - 1, Vec4::ZERO);
+                        meshes.tangents.push(placed_tangent(tangent, linear, mirrored));
+                    }
                     meshes.positions.len() as u32 - 1
                 })
             }));
@@ -140,6 +169,14 @@ impl Geometry {
     }
 }
 
+/// A tangent under a linear map. It moves with the surface, and so does the bitangent; where the map mirrors, that stands
+/// on the other side of normal and tangent.
+fn placed_tangent(tangent: DVec4, linear: DMat3, mirrored: bool) -> Vec4 {
+    let along = (linear * tangent.truncate()).normalize_or_zero().as_vec3();
+    let sign = if (tangent.w < 0.0) != mirrored { -1.0 } else { 1.0 };
+    if along.is_finite() { along.extend(sign) } else { Vec4::ZERO }
+}
+
 /// An attribute that may be absent (then empty), with as many elements as there are positions.
 fn optional<const N: usize>(
     asset: &Asset,
@@ -156,16 +193,6 @@ fn optional<const N: usize>(
         return Err(asset.invalid(here, format!("it has {} elements for {count} positions", values.len())));
     }
     Ok(values)
-}
-
-/// A file may use Draco without requiring it; then the plain accessors must be there.
-fn refuse_draco(asset: &Asset, primitive: &Primitive, position: Index<Accessor>, here: &str) -> Result<()> {
-    let name = "KHR_draco_mesh_compression";
-    let compressed = primitive.extensions.as_ref().is_some_and(|all| all.others.contains_key(name));
-    if compressed && asset.get(position, here)?.buffer_view.is_none() {
-        return Err(asset.unsupported(format!("{name}, the only form of {here}; export it without")));
-    }
-    Ok(())
 }
 
 /// Triangles of a list, strip or fan of corners (glTF 2.0, section 3.7.2.1). Corners left over make none.

@@ -1,4 +1,4 @@
-//! PNG and JPEG to pixels, each image once, within limits that a hostile header cannot move.
+//! PNG, JPEG and WebP to pixels, each image once, within limits that a hostile header cannot move.
 
 use std::collections::BTreeMap;
 use std::io::Cursor;
@@ -9,6 +9,8 @@ use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
 use super::container::{Asset, place};
 use super::resource::{read_uri, view_bytes};
+use crate::job::MissingTexture;
+use crate::scene::texture::{BrokenImage, Encoding, Image};
 use crate::{Error, Result};
 
 /// Largest width and height, in pixels.
@@ -24,62 +26,82 @@ const MAX_FILE_BYTES: u64 = 4 << 30;
 /// byte. JPEG stays below.
 const MAX_PIXELS_PER_BYTE: u64 = 1032 * 8;
 
-/// A decoded image.
-#[derive(Clone)]
-pub struct Pixels {
-    /// Pixels per row.
-    pub width: u32,
-    /// Rows from the top.
-    pub height: u32,
-    /// RGBA, row by row, as encoded.
-    pub rgba: Arc<[[u8; 4]]>,
-}
+/// Images up to this many pixels are not held to that: a WebP of one colour is a few bytes at any size.
+const FREE_PIXELS: u64 = 2048 * 2048;
+
+/// What stands for an image that is missing or broken, where that is allowed.
+const MAGENTA: [u8; 4] = [255, 0, 255, 255];
 
 /// The images that materials have asked for so far.
-#[derive(Default)]
 pub struct Images {
-    decoded: BTreeMap<usize, Pixels>,
+    by_use: BTreeMap<(usize, Encoding), Arc<Image>>,
     bytes: u64,
+    missing_texture: MissingTexture,
+    /// What is wrong with the images that magenta stands for.
+    pub replaced: Vec<String>,
 }
 
 impl Images {
-    /// Image `index`, decoded at the first call. `user` is the material that asks, for messages.
-    pub fn get(&mut self, asset: &Asset, index: Index<json::Image>, user: &str) -> Result<Pixels> {
-        if let Some(pixels) = self.decoded.get(&index.value()) {
-            return Ok(pixels.clone());
-        }
-        let image = asset.get(index, user)?;
-        let here = format!("{} of {user}", place("images", index.value(), image.name.as_deref()));
-        let pixels = match (image.buffer_view, image.uri.as_deref()) {
-            (Some(view), _) => self.decode(asset, &view_bytes(asset, view, &here)?, &here)?,
-            (None, Some(uri)) => self.decode(asset, &read_uri(asset, uri, &here)?, &here)?,
-            (None, None) => return Err(asset.invalid(here, "it has neither a bufferView nor a uri")),
-        };
-        self.decoded.insert(index.value(), pixels.clone());
-        Ok(pixels)
+    /// None yet.
+    pub fn new(missing_texture: MissingTexture) -> Self {
+        Self { by_use: BTreeMap::new(), bytes: 0, missing_texture, replaced: Vec::new() }
     }
 
-    fn decode(&mut self, asset: &Asset, bytes: &[u8], here: &str) -> Result<Pixels> {
-        let broken = |e: image::ImageError| asset.invalid(here, format!("it cannot be decoded: {e}"));
-        let format = image::guess_format(bytes).map_err(|_| asset.invalid(here, "it is neither PNG nor JPEG"))?;
-        if !matches!(format, ImageFormat::Png | ImageFormat::Jpeg) {
-            return Err(asset.unsupported(format!("{here} is {format:?}; convert it to PNG or JPEG")));
+    /// Image `index` with pixels that mean `encoding`. Its header is read at the first call, its pixels when they are
+    /// needed. `user` is the material that asks, for messages.
+    pub fn get(
+        &mut self,
+        asset: &Asset,
+        index: Index<json::Image>,
+        encoding: Encoding,
+        user: &str,
+    ) -> Result<Arc<Image>> {
+        let key = (index.value(), encoding);
+        if let Some(image) = self.by_use.get(&key) {
+            return Ok(image.clone());
         }
-        let mut limits = Limits::default();
-        limits.max_image_width = Some(MAX_EDGE);
-        limits.max_image_height = Some(MAX_EDGE);
-        limits.max_alloc = Some(MAX_IMAGE_BYTES);
-        let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
-        reader.limits(limits);
-        let decoder = reader.into_decoder().map_err(broken)?;
-        let (width, height) = decoder.dimensions();
-        self.charge(asset, u64::from(width) * u64::from(height), bytes.len() as u64, here)?;
-        let rgba = DynamicImage::from_decoder(decoder).map_err(broken)?.into_rgba8().into_raw();
-        Ok(Pixels { width, height, rgba: bytemuck::cast_slice(&rgba).into() })
+        let image = match (self.open(asset, index, encoding, user), self.missing_texture) {
+            (Err(error @ (Error::Invalid { .. } | Error::Unsupported { .. })), MissingTexture::Magenta) => {
+                self.replaced.push(error.to_string());
+                Image::new(1, 1, encoding, || Ok(vec![MAGENTA]))
+            }
+            (image, _) => image?,
+        };
+        Ok(self.by_use.entry(key).or_insert(Arc::new(image)).clone())
+    }
+
+    fn open(&mut self, asset: &Asset, index: Index<json::Image>, encoding: Encoding, user: &str) -> Result<Image> {
+        let image = asset.get(index, user)?;
+        let here = format!("{} of {user}", place("images", index.value(), image.name.as_deref()));
+        let bytes = match (image.buffer_view, image.uri.as_deref()) {
+            (Some(view), _) => view_bytes(asset, view, &here)?,
+            (None, Some(uri)) => read_uri(asset, uri, &here)?.into(),
+            (None, None) => return Err(asset.invalid(here, "it has neither a bufferView nor a uri")),
+        };
+        let format =
+            image::guess_format(&bytes).map_err(|_| asset.invalid(&here, "it is neither PNG, JPEG nor WebP"))?;
+        if !matches!(format, ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::WebP) {
+            return Err(asset.unsupported(format!("{here} is {format:?}; convert it to PNG, JPEG or WebP")));
+        }
+        let broken = BrokenImage { path: asset.path.clone(), place: here.clone(), what: String::new() };
+        let cannot =
+            move |e: image::ImageError| BrokenImage { what: format!("it cannot be decoded: {e}"), ..broken.clone() };
+        let (width, height) = decoder(&bytes, format).map_err(|e| cannot(e).to_error())?.dimensions();
+        self.charge(asset, u64::from(width) * u64::from(height), &bytes, &here)?;
+        let missing_texture = self.missing_texture;
+        Ok(Image::new(width, height, encoding, move || {
+            let pixels = decoder(&bytes, format).and_then(DynamicImage::from_decoder).map(DynamicImage::into_rgba8);
+            match (pixels, missing_texture) {
+                (Ok(pixels), _) => Ok(bytemuck::cast_slice(pixels.as_raw()).to_vec()),
+                (Err(_), MissingTexture::Magenta) => Ok(vec![MAGENTA; width as usize * height as usize]),
+                (Err(e), MissingTexture::Error) => Err(cannot(e)),
+            }
+        }))
     }
 
     /// Refuses an image whose pixels its bytes cannot hold, or that is too large, before anything is allocated.
-    fn charge(&mut self, asset: &Asset, pixels: u64, encoded_bytes: u64, here: &str) -> Result<()> {
+    fn charge(&mut self, asset: &Asset, pixels: u64, encoded: &[u8], here: &str) -> Result<()> {
+        let encoded_bytes = encoded.len() as u64;
         let too_large = |limit: u64| -> Error {
             asset.unsupported(format!(
                 "{here} has {pixels} pixels, past the limit of {} MiB; scale it down",
@@ -89,7 +111,7 @@ impl Images {
         if pixels == 0 {
             return Err(asset.invalid(here, "it has no pixels"));
         }
-        if pixels > encoded_bytes.saturating_mul(MAX_PIXELS_PER_BYTE) {
+        if pixels > encoded_bytes.saturating_mul(MAX_PIXELS_PER_BYTE).max(FREE_PIXELS) {
             let what = format!("its header promises {pixels} pixels, too many for its {encoded_bytes} bytes");
             return Err(asset.invalid(here, what));
         }
@@ -100,4 +122,15 @@ impl Images {
             _ => Ok(()),
         }
     }
+}
+
+/// A decoder that has read the header and keeps to the limits.
+fn decoder(bytes: &[u8], format: ImageFormat) -> image::ImageResult<impl ImageDecoder> {
+    let mut limits = Limits::default();
+    limits.max_image_width = Some(MAX_EDGE);
+    limits.max_image_height = Some(MAX_EDGE);
+    limits.max_alloc = Some(MAX_IMAGE_BYTES);
+    let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
+    reader.limits(limits);
+    reader.into_decoder()
 }

@@ -3,31 +3,44 @@
 use std::collections::BTreeMap;
 
 use glam::{Mat3, Vec2, Vec3, Vec4};
-use gltf::json::material::AlphaMode as JsonAlphaMode;
-use gltf::json::texture::{Info, MagFilter, Sampler, WrappingMode};
+use gltf::json::texture::{MagFilter, MinFilter, Sampler, WrappingMode};
 use gltf::json::validation::Checked;
 use gltf::json::{self, Index};
+use serde_json::Value;
 
 use super::container::{Asset, place};
 use super::image::Images;
+use super::material_json::{MaterialJson, SpecularGlossiness, TextureInfo};
 use crate::Result;
-use crate::scene::LinearRgb;
-use crate::scene::mesh::{AlphaMode, Material, Meshes, Texture, TextureRef, Wrap};
+use crate::job::MissingTexture;
+use crate::scene::material::{
+    AlphaMode, Anisotropy, Channel, Clearcoat, ColourMap, Iridescence, NormalMap, ScalarMap, Sheen, TextureRef, Volume,
+};
+use crate::scene::texture::{Encoding, Filter, MipFilter, Texture, Wrap};
+use crate::scene::{LinearRgb, Material, Meshes};
 
 /// How many sets of texture coordinates vertices carry.
 pub const UV_SETS: u32 = 2;
 
+/// Extensions of a texture that name another image for it, in the order in which they are taken when the texture has no
+/// plain PNG or JPEG.
+const SOURCE_EXTENSIONS: [&str; 1] = ["EXT_texture_webp"];
+
 /// The materials and textures of one file that are in use, by their place in the file.
-#[derive(Default)]
 pub struct Materials {
     images: Images,
     /// Index in [`Meshes::materials`]; the key `None` is glTF's default material.
     materials: BTreeMap<Option<usize>, u32>,
-    /// Index in [`Meshes::textures`] by image and sampler.
-    textures: BTreeMap<(usize, Option<usize>), u32>,
+    /// Index in [`Meshes::textures`] by image, sampler and encoding.
+    textures: BTreeMap<(usize, Option<usize>, Encoding), u32>,
 }
 
 impl Materials {
+    /// None in use yet.
+    pub fn new(missing_texture: MissingTexture) -> Self {
+        Self { images: Images::new(missing_texture), materials: BTreeMap::new(), textures: BTreeMap::new() }
+    }
+
     /// Index in [`Meshes::materials`] of the file's material `index`, appended with its textures at the first call.
     pub fn get(
         &mut self,
@@ -41,7 +54,12 @@ impl Materials {
             return Ok(material);
         }
         let material = match index {
-            Some(index) => self.convert(asset, index, user, meshes)?,
+            Some(index) => {
+                asset.get(index, user)?;
+                let source = &asset.materials[index.value()];
+                let here = place("materials", index.value(), source.name.as_deref());
+                Conversion { asset, materials: self, meshes, here }.convert(source)?
+            }
             None => Material::default(),
         };
         meshes.materials.push(material);
@@ -60,73 +78,22 @@ impl Materials {
         self.textures.len()
     }
 
-    fn convert(
+    /// Images that are missing or broken and were replaced, each with what is wrong.
+    pub fn into_replaced_images(self) -> Vec<String> {
+        self.images.replaced
+    }
+
+    fn texture(
         &mut self,
         asset: &Asset,
-        index: Index<json::Material>,
-        user: &str,
+        index: Index<json::Texture>,
+        encoding: Encoding,
+        here: &str,
         meshes: &mut Meshes,
-    ) -> Result<Material> {
-        let source = asset.get(index, user)?;
-        let here = place("materials", index.value(), source.name.as_deref());
-        let pbr = &source.pbr_metallic_roughness;
-        let extensions = source.extensions.as_ref();
-        let strength = extensions.and_then(|all| all.emissive_strength.as_ref()).map_or(1.0, |e| e.emissive_strength.0);
-        let cutoff = source.alpha_cutoff.map_or(0.5, |cutoff| cutoff.0);
-        let base_colour = Vec4::from(pbr.base_color_factor.0);
-        let emissive = Vec3::from(source.emissive_factor.0) * strength;
-        let usable = |factor: f32| factor.is_finite() && factor >= 0.0;
-        if !base_colour.to_array().into_iter().chain(emissive.to_array()).chain([cutoff]).all(usable) {
-            return Err(asset.invalid(here, "its factors must be finite and not negative"));
-        }
-        let alpha = match source.alpha_mode {
-            Checked::Valid(JsonAlphaMode::Opaque) => AlphaMode::Opaque,
-            Checked::Valid(JsonAlphaMode::Mask) => AlphaMode::Mask { cutoff },
-            Checked::Valid(JsonAlphaMode::Blend) => AlphaMode::Blend,
-            Checked::Invalid => return Err(asset.invalid(here, "its alphaMode is not OPAQUE, MASK or BLEND")),
-        };
-        let mut texture = |info: &Option<Info>, slot: &str| -> Result<Option<TextureRef>> {
-            info.as_ref().map(|info| self.texture_ref(asset, info, &format!("{here} {slot}"), meshes)).transpose()
-        };
-        Ok(Material {
-            name: source.name.clone().unwrap_or_default(),
-            base_colour,
-            base_colour_texture: texture(&pbr.base_color_texture, "baseColorTexture")?,
-            emissive: LinearRgb(emissive),
-            emissive_texture: texture(&source.emissive_texture, "emissiveTexture")?,
-            alpha,
-            double_sided: source.double_sided,
-            unlit: extensions.is_some_and(|all| all.unlit.is_some()),
-        })
-    }
-
-    fn texture_ref(&mut self, asset: &Asset, info: &Info, here: &str, meshes: &mut Meshes) -> Result<TextureRef> {
-        let transform = info.extensions.as_ref().and_then(|all| all.texture_transform.as_ref());
-        let uv_set = transform.and_then(|transform| transform.tex_coord).unwrap_or(info.tex_coord);
-        if uv_set >= UV_SETS {
-            return Err(asset.unsupported(format!("{here} uses TEXCOORD_{uv_set}; only sets 0 and 1 are read")));
-        }
-        let uv_from_uv = transform.map_or(Mat3::IDENTITY, |transform| {
-            uv_transform(transform.offset.0.into(), transform.rotation.0, transform.scale.0.into())
-        });
-        if !uv_from_uv.is_finite() {
-            return Err(asset.invalid(here, "its KHR_texture_transform is not finite"));
-        }
-        Ok(TextureRef { texture: self.texture(asset, info.index, here, meshes)?, uv_set: uv_set as u8, uv_from_uv })
-    }
-
-    fn texture(&mut self, asset: &Asset, index: Index<json::Texture>, here: &str, meshes: &mut Meshes) -> Result<u32> {
+    ) -> Result<u32> {
         let source = asset.get(index, here)?;
-        // The gltf crate reads an absent source as this index.
-        if source.source.value() == u32::MAX as usize {
-            let others =
-                source.extensions.as_ref().map(|all| all.others.keys().cloned().collect::<Vec<_>>().join(", "));
-            let only =
-                others.filter(|names| !names.is_empty()).map_or(String::new(), |names| format!(", only {names}"));
-            let texture = place("textures", index.value(), source.name.as_deref());
-            return Err(asset.unsupported(format!("{texture} of {here} has no PNG or JPEG source{only}")));
-        }
-        let key = (source.source.value(), source.sampler.map(|sampler| sampler.value()));
+        let image = image_of(asset, index, source, here)?;
+        let key = (image.value(), source.sampler.map(|sampler| sampler.value()), encoding);
         if let Some(&texture) = self.textures.get(&key) {
             return Ok(texture);
         }
@@ -141,12 +108,282 @@ impl Materials {
             Checked::Invalid => Err(asset.invalid(here, "its sampler has a wrap mode that glTF 2.0 does not know")),
         };
         let wrap = [wrap(sampler.wrap_s)?, wrap(sampler.wrap_t)?];
-        let nearest = matches!(sampler.mag_filter, Some(Checked::Valid(MagFilter::Nearest)));
-        let pixels = self.images.get(asset, source.source, here)?;
-        meshes.textures.push(Texture { width: pixels.width, height: pixels.height, rgba: pixels.rgba, wrap, nearest });
+        let image = self.images.get(asset, image, encoding, here)?;
+        meshes.textures.push(Texture { image, wrap, filter: filter(sampler) });
         let appended = meshes.textures.len() as u32 - 1;
         self.textures.insert(key, appended);
         Ok(appended)
+    }
+}
+
+/// The image of a texture: the plain one, or that of an extension.
+fn image_of(
+    asset: &Asset,
+    index: Index<json::Texture>,
+    source: &json::Texture,
+    here: &str,
+) -> Result<Index<json::Image>> {
+    // The gltf crate reads an absent source as this index.
+    if source.source.value() != u32::MAX as usize {
+        return Ok(source.source);
+    }
+    let texture = place("textures", index.value(), source.name.as_deref());
+    let others = source.extensions.iter().flat_map(|all| &all.others);
+    let by_extension = |name: &str| others.clone().find(|(other, _)| *other == name).map(|(_, extension)| extension);
+    if let Some((name, extension)) = SOURCE_EXTENSIONS.iter().find_map(|name| Some((name, by_extension(name)?))) {
+        let image = extension.get("source").and_then(Value::as_u64).and_then(|index| u32::try_from(index).ok());
+        return image.map(Index::new).ok_or_else(|| asset.invalid(texture, format!("{name} has no source")));
+    }
+    let names: Vec<&str> = others.map(|(name, _)| name.as_str()).collect();
+    let only = if names.is_empty() { String::new() } else { format!(", only {}", names.join(", ")) };
+    Err(asset.unsupported(format!("{texture} of {here} has no PNG, JPEG or WebP source{only}")))
+}
+
+/// What a sampler leaves open is filtered as smoothly as possible. A filter that glTF does not know is one left open.
+fn filter(sampler: &Sampler) -> Filter {
+    let (minify_nearest, mips) = match sampler.min_filter {
+        Some(Checked::Valid(MinFilter::Nearest)) => (true, MipFilter::None),
+        Some(Checked::Valid(MinFilter::Linear)) => (false, MipFilter::None),
+        Some(Checked::Valid(MinFilter::NearestMipmapNearest)) => (true, MipFilter::Nearest),
+        Some(Checked::Valid(MinFilter::LinearMipmapNearest)) => (false, MipFilter::Nearest),
+        Some(Checked::Valid(MinFilter::NearestMipmapLinear)) => (true, MipFilter::Linear),
+        Some(Checked::Valid(MinFilter::LinearMipmapLinear) | Checked::Invalid) | None => (false, MipFilter::Linear),
+    };
+    let magnify_nearest = matches!(sampler.mag_filter, Some(Checked::Valid(MagFilter::Nearest)));
+    Filter { magnify_nearest, minify_nearest, mips }
+}
+
+/// One material on its way from file to scene.
+struct Conversion<'a> {
+    asset: &'a Asset,
+    materials: &'a mut Materials,
+    meshes: &'a mut Meshes,
+    here: String,
+}
+
+impl Conversion<'_> {
+    fn convert(mut self, source: &MaterialJson) -> Result<Material> {
+        let extensions = &source.extensions;
+        let alpha = match source.alpha_mode.as_str() {
+            "OPAQUE" => AlphaMode::Opaque,
+            "MASK" => AlphaMode::Mask { cutoff: self.factor(source.alpha_cutoff, "alphaCutoff")? },
+            "BLEND" => AlphaMode::Blend,
+            _ => return Err(self.invalid("its alphaMode is not OPAQUE, MASK or BLEND")),
+        };
+        let strength = extensions.emissive_strength.emissive_strength;
+        let emissive = Vec3::from(source.emissive_factor) * strength;
+        let common = Material {
+            name: source.name.clone().unwrap_or_default(),
+            emissive: LinearRgb(self.factors(emissive, "emissiveFactor times emissiveStrength")?),
+            emissive_texture: self.colour_texture(&source.emissive_texture, "emissiveTexture")?,
+            alpha,
+            double_sided: source.double_sided,
+            unlit: extensions.unlit.is_some(),
+            normal: self.normal(&source.normal_texture, "normalTexture")?,
+            occlusion: self.occlusion(&source.occlusion_texture)?,
+            ..Material::default()
+        };
+        match &extensions.specular_glossiness {
+            Some(old) => self.specular_glossiness(common, old),
+            None => self.metallic_roughness(common, source),
+        }
+    }
+
+    /// The workflow of KHR_materials_pbrSpecularGlossiness, as the page of KHR_materials_specular converts it: a dielectric
+    /// whose reflectance at normal incidence is the specular colour alone, which index of refraction 0 stands for.
+    fn specular_glossiness(&mut self, common: Material, source: &SpecularGlossiness) -> Result<Material> {
+        let slot = "specularGlossinessTexture";
+        let glossiness = self.factor(source.glossiness_factor, "glossinessFactor")?;
+        let glossy = self.scalar(glossiness, &source.specular_glossiness_texture, slot, Channel::A)?;
+        Ok(Material {
+            base_colour: self.colour_and_alpha(source.diffuse_factor, "diffuseFactor")?,
+            base_colour_texture: self.colour_texture(&source.diffuse_texture, "diffuseTexture")?,
+            metallic: 0.0.into(),
+            roughness: ScalarMap { offset: 1.0, factor: -glossy.factor, ..glossy },
+            ior: 0.0,
+            specular_colour: ColourMap {
+                factor: self.factors(source.specular_factor.into(), "specularFactor")?,
+                texture: self.colour_texture(&source.specular_glossiness_texture, slot)?,
+            },
+            ..common
+        })
+    }
+
+    fn metallic_roughness(&mut self, common: Material, source: &MaterialJson) -> Result<Material> {
+        let (pbr, all) = (&source.pbr_metallic_roughness, &source.extensions);
+        let metal_rough = &pbr.metallic_roughness_texture;
+        let slot = "metallicRoughnessTexture";
+        let metallic = self.factor(pbr.metallic_factor, "metallicFactor")?;
+        let roughness = self.factor(pbr.roughness_factor, "roughnessFactor")?;
+        let iridescence = &all.iridescence;
+        let thinnest = match iridescence.iridescence_thickness_texture {
+            Some(_) => self.factor(iridescence.iridescence_thickness_minimum, "iridescenceThicknessMinimum")?,
+            None => 0.0,
+        };
+        let thickest = self.factor(iridescence.iridescence_thickness_maximum, "iridescenceThicknessMaximum")?;
+        let film =
+            self.map(1.0, &iridescence.iridescence_thickness_texture, "iridescenceThicknessTexture", Channel::G)?;
+        let volume = &all.volume;
+        let distance = volume.attenuation_distance.unwrap_or(f32::INFINITY);
+        if !(distance > 0.0) {
+            return Err(self.invalid(format!("its attenuationDistance is {distance}; it must be above 0")));
+        }
+        Ok(Material {
+            base_colour: self.colour_and_alpha(pbr.base_color_factor, "baseColorFactor")?,
+            base_colour_texture: self.colour_texture(&pbr.base_color_texture, "baseColorTexture")?,
+            metallic: self.scalar(metallic, metal_rough, slot, Channel::B)?,
+            roughness: self.scalar(roughness, metal_rough, slot, Channel::G)?,
+            ior: self.index_of_refraction(all.ior.ior, "ior", 0.0)?,
+            specular: self.map(
+                all.specular.specular_factor,
+                &all.specular.specular_texture,
+                "specularTexture",
+                Channel::A,
+            )?,
+            specular_colour: ColourMap {
+                factor: self.factors(all.specular.specular_color_factor.into(), "specularColorFactor")?,
+                texture: self.colour_texture(&all.specular.specular_color_texture, "specularColorTexture")?,
+            },
+            clearcoat: Clearcoat {
+                factor: self.map(
+                    all.clearcoat.clearcoat_factor,
+                    &all.clearcoat.clearcoat_texture,
+                    "clearcoatTexture",
+                    Channel::R,
+                )?,
+                roughness: self.map(
+                    all.clearcoat.clearcoat_roughness_factor,
+                    &all.clearcoat.clearcoat_roughness_texture,
+                    "clearcoatRoughnessTexture",
+                    Channel::G,
+                )?,
+                normal: self.normal(&all.clearcoat.clearcoat_normal_texture, "clearcoatNormalTexture")?,
+            },
+            sheen: Sheen {
+                colour: ColourMap {
+                    factor: self.factors(all.sheen.sheen_color_factor.into(), "sheenColorFactor")?,
+                    texture: self.colour_texture(&all.sheen.sheen_color_texture, "sheenColorTexture")?,
+                },
+                roughness: self.map(
+                    all.sheen.sheen_roughness_factor,
+                    &all.sheen.sheen_roughness_texture,
+                    "sheenRoughnessTexture",
+                    Channel::A,
+                )?,
+            },
+            transmission: self.map(
+                all.transmission.transmission_factor,
+                &all.transmission.transmission_texture,
+                "transmissionTexture",
+                Channel::R,
+            )?,
+            volume: Volume {
+                thickness: self.map(
+                    volume.thickness_factor,
+                    &volume.thickness_texture,
+                    "thicknessTexture",
+                    Channel::G,
+                )?,
+                attenuation_colour: LinearRgb(self.factors(volume.attenuation_color.into(), "attenuationColor")?),
+                attenuation_distance: distance,
+            },
+            anisotropy: Anisotropy {
+                strength: self.factor(all.anisotropy.anisotropy_strength, "anisotropyStrength")?,
+                rotation: self.finite(all.anisotropy.anisotropy_rotation, "anisotropyRotation")?,
+                texture: self.texture(&all.anisotropy.anisotropy_texture, "anisotropyTexture", Encoding::Linear)?,
+            },
+            iridescence: Iridescence {
+                factor: self.map(
+                    iridescence.iridescence_factor,
+                    &iridescence.iridescence_texture,
+                    "iridescenceTexture",
+                    Channel::R,
+                )?,
+                ior: self.index_of_refraction(iridescence.iridescence_ior, "iridescenceIor", 1.0)?,
+                thickness_nm: ScalarMap { offset: thinnest, factor: thickest - thinnest, ..film },
+            },
+            dispersion: self.factor(all.dispersion.dispersion, "dispersion")?,
+            ..common
+        })
+    }
+
+    fn invalid(&self, what: impl Into<String>) -> crate::Error {
+        self.asset.invalid(&self.here, what)
+    }
+
+    fn finite(&self, value: f32, name: &str) -> Result<f32> {
+        if value.is_finite() { Ok(value) } else { Err(self.invalid(format!("its {name} must be finite"))) }
+    }
+
+    /// `value`, if it can be a factor. Those above 1 are cut where they are used.
+    fn factor(&self, value: f32, name: &str) -> Result<f32> {
+        let usable = value.is_finite() && value >= 0.0;
+        if usable { Ok(value) } else { Err(self.invalid(format!("its {name} must be finite and not negative"))) }
+    }
+
+    fn factors(&self, values: Vec3, name: &str) -> Result<Vec3> {
+        values.to_array().into_iter().try_for_each(|value| self.factor(value, name).map(drop))?;
+        Ok(values)
+    }
+
+    fn colour_and_alpha(&self, values: [f32; 4], name: &str) -> Result<Vec4> {
+        values.into_iter().try_for_each(|value| self.factor(value, name).map(drop))?;
+        Ok(values.into())
+    }
+
+    /// An index of refraction: at least 1, or `special`.
+    fn index_of_refraction(&self, value: f32, name: &str, special: f32) -> Result<f32> {
+        let usable = value.is_finite() && (value >= 1.0 || value == special);
+        if usable { Ok(value) } else { Err(self.invalid(format!("its {name} is {value}; it must be at least 1"))) }
+    }
+
+    fn texture(&mut self, info: &Option<TextureInfo>, slot: &str, encoding: Encoding) -> Result<Option<TextureRef>> {
+        let Some(info) = info else { return Ok(None) };
+        let here = format!("{} {slot}", self.here);
+        let transform = info.extensions.transform.as_ref();
+        let uv_set = transform.and_then(|transform| transform.tex_coord).unwrap_or(info.tex_coord);
+        if uv_set >= UV_SETS {
+            return Err(self.asset.unsupported(format!("{here} uses TEXCOORD_{uv_set}; only sets 0 and 1 are read")));
+        }
+        let uv_from_uv = transform.map_or(Mat3::IDENTITY, |transform| {
+            uv_transform(transform.offset.into(), transform.rotation, transform.scale.into())
+        });
+        if !uv_from_uv.is_finite() {
+            return Err(self.asset.invalid(here, "its KHR_texture_transform is not finite"));
+        }
+        let texture = self.materials.texture(self.asset, Index::new(info.index), encoding, &here, self.meshes)?;
+        Ok(Some(TextureRef { texture, uv_set: uv_set as u8, uv_from_uv }))
+    }
+
+    fn colour_texture(&mut self, info: &Option<TextureInfo>, slot: &str) -> Result<Option<TextureRef>> {
+        self.texture(info, slot, Encoding::Srgb)
+    }
+
+    /// A factor, called as the texture with "Factor" in its place, and a channel of the texture.
+    fn map(&mut self, factor: f32, info: &Option<TextureInfo>, slot: &str, channel: Channel) -> Result<ScalarMap> {
+        let factor = self.factor(factor, &slot.replace("Texture", "Factor"))?;
+        self.scalar(factor, info, slot, channel)
+    }
+
+    fn scalar(&mut self, factor: f32, info: &Option<TextureInfo>, slot: &str, channel: Channel) -> Result<ScalarMap> {
+        // Alpha is the same in both encodings; the extensions put it beside a colour, whose pixels it then shares.
+        let encoding = if channel == Channel::A { Encoding::Srgb } else { Encoding::Linear };
+        let texture = self.texture(info, slot, encoding)?.map(|texture| (texture, channel));
+        Ok(ScalarMap { texture, ..factor.into() })
+    }
+
+    fn normal(&mut self, info: &Option<TextureInfo>, slot: &str) -> Result<Option<NormalMap>> {
+        let Some(texture) = self.texture(info, slot, Encoding::Linear)? else { return Ok(None) };
+        let scale = self.finite(info.as_ref().map_or(1.0, |info| info.scale), &format!("{slot} scale"))?;
+        Ok(Some(NormalMap { texture, scale }))
+    }
+
+    /// `1 + strength (red - 1)` (glTF 2.0, section 5.22.3).
+    fn occlusion(&mut self, info: &Option<TextureInfo>) -> Result<ScalarMap> {
+        let Some(texture) = self.texture(info, "occlusionTexture", Encoding::Linear)? else { return Ok(1.0.into()) };
+        let strength = info.as_ref().map_or(1.0, |info| info.strength);
+        let strength = self.factor(strength, "occlusionTexture strength")?;
+        Ok(ScalarMap { offset: 1.0 - strength, factor: strength, texture: Some((texture, Channel::R)) })
     }
 }
 

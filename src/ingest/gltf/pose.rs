@@ -3,7 +3,7 @@
 use glam::{DAffine3, DMat3, DMat4, DVec3, Vec3};
 use gltf::json::accessor::Type;
 use gltf::json::mesh::{Mesh, Primitive, Semantic};
-use gltf::json::{Index, Node, Skin};
+use gltf::json::{Accessor, Index, Node, Skin};
 
 use super::accessor::read_vectors;
 use super::container::{Asset, place};
@@ -22,17 +22,19 @@ pub fn morph(
 ) -> Result<()> {
     let weights = node.weights.as_deref().or(mesh.weights.as_deref()).unwrap_or_default();
     for (target, &weight) in primitive.targets.iter().flatten().zip(weights).filter(|(_, weight)| **weight != 0.0) {
-        let moved = [(&mut geometry.positions, target.positions), (&mut geometry.normals, target.normals)];
-        for (values, offsets) in moved {
-            let Some(offsets) = offsets else { continue };
+        let offsets_of = |target: Option<Index<Accessor>>| -> Result<Vec<DVec3>> {
+            let Some(offsets) = target else { return Ok(Vec::new()) };
             let offsets: Vec<[f32; 3]> = read_vectors(asset, offsets, &[Type::Vec3], &format!("{here} morph target"))?;
-            if offsets.len() != values.len() {
+            if offsets.len() != geometry.positions.len() {
                 return Err(asset.invalid(here, "a morph target has another count than the positions"));
             }
-            for (value, offset) in values.iter_mut().zip(offsets) {
-                *value += Vec3::from(offset).as_dvec3() * f64::from(weight);
-            }
-        }
+            Ok(offsets.into_iter().map(|offset| Vec3::from(offset).as_dvec3() * f64::from(weight)).collect())
+        };
+        let (positions, normals, tangents) =
+            (offsets_of(target.positions)?, offsets_of(target.normals)?, offsets_of(target.tangents)?);
+        geometry.positions.iter_mut().zip(positions).for_each(|(value, offset)| *value += offset);
+        geometry.normals.iter_mut().zip(normals).for_each(|(value, offset)| *value += offset);
+        geometry.tangents.iter_mut().zip(tangents).for_each(|(value, offset)| *value += offset.extend(0.0));
     }
     Ok(())
 }
@@ -100,6 +102,9 @@ pub fn skin(
     for (v, (linear, translation, weight)) in sums.into_iter().enumerate() {
         geometry.positions[v] = (linear * geometry.positions[v] + translation) / weight;
         geometry.normals[v] = cofactor(linear) * geometry.normals[v];
+        if let Some(tangent) = geometry.tangents.get_mut(v) {
+            *tangent = (linear * tangent.truncate()).extend(tangent.w);
+        }
     }
     Ok(())
 }

@@ -11,6 +11,7 @@ use base64::Engine;
 use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
 use gltf::json::{Index, buffer};
 
+use super::compressed::placeholders;
 use super::container::{Asset, place};
 use crate::Result;
 
@@ -61,7 +62,12 @@ pub fn read_buffers(asset: &Asset, glb_chunk: Option<Bytes>) -> Result<Vec<Bytes
     // A file may name one URI many times; it is held once.
     let mut by_uri: BTreeMap<&str, Bytes> = BTreeMap::new();
     let mut buffers = Vec::with_capacity(asset.root.buffers.len());
+    let placeholders = placeholders(&asset.root);
     for (i, buffer) in asset.root.buffers.iter().enumerate() {
+        if placeholders[i] {
+            buffers.push(Vec::new().into());
+            continue;
+        }
         let here = place("buffers", i, buffer.name.as_deref());
         let bytes = match (buffer.uri.as_deref(), &glb_chunk) {
             (Some(uri), _) => match by_uri.get(uri) {
