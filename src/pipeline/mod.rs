@@ -12,14 +12,14 @@ use glam::{DVec3, Vec3};
 use serde::Serialize;
 
 use self::output::Output;
-use crate::bake::{self, BakeSettings, Calibration, Progress};
+use crate::bake::{self, BakeSettings, Calibration, ProbeStatistics, Progress};
 use crate::bvh::Bvh;
 use crate::ingest::{self, SceneReport};
 use crate::job::{Job, Order, OutputKind, Placement, Surface, Tracer};
 use crate::manifest::{self, InputRecord, Manifest};
 use crate::place::{self, Probe};
 use crate::scene::{Bounds, LinearRgb, Scene};
-use crate::shade::UnlitSurfaces;
+use crate::shade::{PathSettings, PathSurfaces, UnlitSurfaces};
 use crate::trace::footprint;
 use crate::trace::{BeamTracer, Footprint, Level, RayTracer, ReferenceTracer, Surfaces, TileTracer, TraceSettings};
 use crate::{Error, Result};
@@ -84,19 +84,24 @@ fn bake_on_these_threads(job: &Job, progress: &dyn Progress, cancel: &AtomicBool
     let bvh = Bvh::build(&mut scene);
     let built = Instant::now();
 
-    let surfaces: Box<dyn Surfaces> = match job.surface {
-        Surface::Unlit => {
-            let ray_angle = footprint::ray_angle(job.face_size * job.samples);
-            Box::new(UnlitSurfaces::new(&scene.meshes).for_rays_of(ray_angle))
-        }
-    };
-    let tracer = tracer(job, order, &scene, &bvh, &*surfaces);
+    let rules = trace_settings(job, order);
+    let ray_angle = footprint::ray_angle(job.face_size * job.samples);
+    let origins: Vec<DVec3> = probes.iter().map(|probe| probe.position - scene.origin).collect();
+    let unlit = UnlitSurfaces::new(&scene.meshes).for_rays_of(ray_angle);
+    let lit = (job.surface == Surface::Path).then(|| {
+        let settings = PathSettings { noise: job.noise, max_paths: job.max_paths, ..PathSettings::default() };
+        PathSurfaces::new(&scene, &bvh, rules, settings, &origins).for_rays_of(ray_angle)
+    });
+    let surfaces: &dyn Surfaces = lit.as_ref().map_or(&unlit, |lit| lit);
+    let tracer = tracer(job, rules, &scene, &bvh, surfaces);
     let output = Output::begin(job, probes.len())?;
     let (face_size, samples) = (job.face_size, job.samples);
     let distance = job.distance || job.outputs.contains(&OutputKind::Moments);
     let settings = BakeSettings { face_size, samples, distance, edge_texels: false };
     bake::bake_probes(&*tracer, &scene, &probes, &settings, progress, cancel, |index, cubemap, statistics| {
         scene.meshes.check_textures()?;
+        let surface_noise = lit.as_ref().and_then(|lit| lit.noise_of(origins[index]));
+        let statistics = ProbeStatistics { surface_noise, ..statistics };
         output.write_probe(index, &probes[index], cubemap, statistics)
     })?;
     let mut rays_per_probe = settings.rays_per_probe();
@@ -148,9 +153,19 @@ fn place_probes(placement: &Placement, scene: &SceneReport) -> Result<Vec<Probe>
     }
 }
 
+fn trace_settings(job: &Job, order: Order) -> TraceSettings {
+    TraceSettings {
+        order,
+        sh_direction: job.sh_direction,
+        t_cutoff: job.t_cutoff,
+        t_near: job.t_near,
+        footprint: Footprint::new(job.footprint, job.face_size * job.samples),
+    }
+}
+
 fn tracer<'a>(
     job: &Job,
-    order: Order,
+    settings: TraceSettings,
     scene: &'a Scene,
     bvh: &'a Bvh,
     surfaces: &'a dyn Surfaces,
@@ -158,13 +173,6 @@ fn tracer<'a>(
     if job.calibration {
         return Box::new(Calibration);
     }
-    let settings = TraceSettings {
-        order,
-        sh_direction: job.sh_direction,
-        t_cutoff: job.t_cutoff,
-        t_near: job.t_near,
-        footprint: Footprint::new(job.footprint, job.face_size * job.samples),
-    };
     match job.tracer {
         Tracer::Beam => Box::new(BeamTracer { scene, bvh, surfaces, settings, level: Level::best() }),
         Tracer::Ray => Box::new(RayTracer { scene, bvh, surfaces, settings }),
