@@ -117,15 +117,24 @@ const FIRST_WINDOW: f32 = 0.9;
 impl RayTracer<'_> {
     /// Everything along one ray until its transmittance falls below the cut-off.
     pub fn trace(&self, ray: &Ray, scratch: &mut RayScratch) -> Radiance {
-        pulp::Arch::new().dispatch(TraceRay { tracer: self, ray, scratch })
+        pulp::Arch::new().dispatch(TraceRay { tracer: self, ray, limit: f64::INFINITY, scratch })
     }
 
+    /// Share of light that passes from the ray's origin to `limit` metres along it: what responds most strongly in
+    /// between holds light back, whatever the order of blending. Ends early below the cut-off, as [`Self::trace`] does.
+    pub fn transmittance(&self, ray: &Ray, limit: f64, scratch: &mut RayScratch) -> f32 {
+        let settings = TraceSettings { order: Order::RayHitDistance, ..self.settings };
+        let tracer = &RayTracer { settings, ..*self };
+        pulp::Arch::new().dispatch(TraceRay { tracer, ray, limit, scratch }).transmittance
+    }
+
+    /// Blends what has keys below `limit`.
     #[inline(always)]
-    fn walk<S: Simd>(&self, simd: S, ray: &Ray, scratch: &mut RayScratch) -> Radiance {
+    fn walk<S: Simd>(&self, simd: S, ray: &Ray, limit: f64, scratch: &mut RayScratch) -> Radiance {
         let slabs = Slabs::new(ray, self.settings.order, self.settings.footprint);
         let mut blender = Blender::default();
-        // Nothing with a larger key can be seen: the nearest surface that is surely opaque.
-        let mut horizon = f64::INFINITY;
+        // Nothing with a larger key can be seen: the limit, or the nearest surface that is surely opaque.
+        let mut horizon = limit;
         scratch.begin(ray.origin);
         let mut window = FIRST_WINDOW * scratch.last_end;
         if !self.bvh.nodes.is_empty() {
@@ -153,7 +162,7 @@ impl RayTracer<'_> {
             let nearest = scratch.later.iter().fold(f32::INFINITY, |nearest, &(key, _)| nearest.min(key));
             // Nothing waits, or nothing of it can be seen.
             let last = nearest == f32::INFINITY || f64::from(nearest) > horizon;
-            let end = if last { f64::INFINITY } else { f64::from(window) };
+            let end = if last { limit } else { limit.min(f64::from(window)) };
             if !self.blend_below(end, ray, &mut blender, scratch) || last {
                 break;
             }
@@ -304,6 +313,7 @@ fn bits(mask: u8) -> impl Iterator<Item = usize> {
 struct TraceRay<'a, 'b> {
     tracer: &'a RayTracer<'b>,
     ray: &'a Ray,
+    limit: f64,
     scratch: &'a mut RayScratch,
 }
 
@@ -312,6 +322,6 @@ impl pulp::WithSimd for TraceRay<'_, '_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Radiance {
-        self.tracer.walk(simd, self.ray, self.scratch)
+        self.tracer.walk(simd, self.ray, self.limit, self.scratch)
     }
 }
