@@ -14,6 +14,7 @@
 //! bvh        one tree over the boxes of Gaussians and triangles
 //! trace      radiance along rays: reference, ray, beam
 //! shade      what leaves a surface: textures, materials
+//! filter     cubemaps for rough and diffuse reflection: GGX, Lambert, spherical harmonics
 //! place      where probes stand and how far they reach
 //! bake       probes -> cubemaps, on all cores
 //! encode     cubemaps -> bytes: EXR, PNG
@@ -42,6 +43,8 @@ pub mod bvh;
 pub mod trace;
 
 pub mod shade;
+
+pub mod filter;
 
 pub mod place;
 

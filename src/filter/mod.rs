@@ -1,0 +1,14 @@
+//! Cubemaps for rough and diffuse reflection: GGX roughness chains, Lambert irradiance, spherical harmonics.
+
+pub mod cubemap;
+mod lobe;
+pub mod prefilter;
+pub mod roughness;
+pub mod sampler;
+pub mod sh;
+
+pub use cubemap::RgbCubemap;
+pub use prefilter::Prefilter;
+pub use roughness::RoughnessCurve;
+pub use sampler::Sampler;
+pub use sh::ShRadiance;

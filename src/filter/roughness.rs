@@ -1,0 +1,68 @@
+//! Which roughness each mip of a chain has, by consumer. All roughnesses are perceptual: GGX alpha is their square.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// How roughness grows along a chain of mips.
+///
+/// With l the mip's index over the index of the last mip:
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
+pub enum RoughnessCurve {
+    /// r = l: Bevy, EXT_lights_image_based. The default.
+    #[default]
+    Linear,
+    /// r (2 - r) = l: Filament (IndirectLight.h), three.js.
+    Filament,
+    /// r (1.7 - 0.7 r) = l: Unity (ImageBasedLighting.hlsl), whose shaders expect 7 mips.
+    Unity,
+    /// The same roughness for the same edge of a face, whatever the size of mip 0: 1 at 2 px and `2^(-1/1.2)` of it with
+    /// each doubling (Karis 2013; Unreal's ReflectionEnvironmentShared.ush).
+    Unreal,
+}
+
+impl RoughnessCurve {
+    /// Perceptual roughness of mip `index` of `count`, whose faces have `face_size` texels along an edge.
+    pub fn roughness(self, index: u32, count: u32, face_size: u32) -> f64 {
+        let l = f64::from(index) / f64::from(count.saturating_sub(1).max(1));
+        match self {
+            Self::Linear => l,
+            Self::Filament => 1.0 - (1.0 - l).sqrt(),
+            Self::Unity => (1.7 - (1.7 * 1.7 - 2.8 * l).sqrt()) / 1.4,
+            Self::Unreal => ((1.0 - f64::from(face_size).log2()) / 1.2).exp2().min(1.0),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn chain(curve: RoughnessCurve) -> [f64; 7] {
+        std::array::from_fn(|mip| curve.roughness(mip as u32, 7, 128 >> mip))
+    }
+
+    /// The values of the consumers' formulas for seven mips, to three digits; Unreal's for mip 0 of 128 px.
+    #[test]
+    fn curves_are_those_of_the_engines() {
+        let expected = [
+            (RoughnessCurve::Linear, [0.0, 0.167, 0.333, 0.5, 0.667, 0.833, 1.0]),
+            (RoughnessCurve::Filament, [0.0, 0.087, 0.184, 0.293, 0.423, 0.592, 1.0]),
+            (RoughnessCurve::Unity, [0.0, 0.102, 0.215, 0.342, 0.492, 0.681, 1.0]),
+            (RoughnessCurve::Unreal, [0.031, 0.056, 0.099, 0.177, 0.315, 0.561, 1.0]),
+        ];
+        for (curve, values) in expected {
+            for (found, expected) in chain(curve).into_iter().zip(values) {
+                assert!((found - expected).abs() < 6e-4, "{curve:?}: {found} is not {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_chain_of_one_mip_is_the_mirror() {
+        for curve in [RoughnessCurve::Linear, RoughnessCurve::Filament, RoughnessCurve::Unity] {
+            assert_eq!(curve.roughness(0, 1, 256), 0.0);
+        }
+    }
+}
