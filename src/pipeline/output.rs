@@ -156,7 +156,7 @@ fn probe_record(probe: &Probe, files: Vec<FileRecord>, statistics: ProbeStatisti
         id: probe.id.clone(),
         position: probe.position.into(),
         influence: Influence { min: min.into(), max: max.into(), blend: probe.blend },
-        proxy: probe.influence,
+        proxy: probe.proxy,
         priority: 0,
         files,
         statistics,
