@@ -73,7 +73,7 @@ fn cube(scene: &Scene, bvh: &Bvh, probe: DVec3, footprint: Footprint, face_size:
     let settings = TraceSettings { footprint, ..TraceSettings::default() };
     let tracer = BeamTracer { scene, bvh, surfaces: &surfaces, settings, level: Level::best() };
     let probes = place::list(&[probe], None, 0.0).expect("a finite position");
-    let settings = BakeSettings { face_size, samples, distance: false };
+    let settings = BakeSettings { face_size, samples, distance: false, edge_texels: false };
     let values = Mutex::new(Vec::new());
     bake::bake_probes(&tracer, scene, &probes, &settings, &Silent, &AtomicBool::new(false), |_, cubemap, _| {
         let rgb = cubemap.texels.iter().flat_map(|&[red, green, blue, _]| [red, green, blue]);

@@ -117,8 +117,8 @@ fn tiles(size: u32) -> Vec<Tile> {
             tiles.extend(starts().map(|x| Tile {
                 face,
                 face_size: size,
-                x,
-                y,
+                x: x as i32,
+                y: y as i32,
                 width: Tile::EDGE.min(size - x),
                 height: Tile::EDGE.min(size - y),
             }));

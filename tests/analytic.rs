@@ -283,7 +283,7 @@ fn a_direction_on_an_edge_is_the_same_from_both_faces() {
         let [right, up, look] = face.axes();
         let texel =
             |along: f64| (((along / look.dot(direction) + 1.0) / 2.0 * f64::from(FACE_SIZE)) as u32).min(FACE_SIZE - 1);
-        let (x, y) = (texel(right.dot(direction)), texel(-up.dot(direction)));
+        let (x, y) = (texel(right.dot(direction)) as i32, texel(-up.dot(direction)) as i32);
         Tile { face, face_size: FACE_SIZE, x, y, width: 1, height: 1 }
     };
     let mut random = Random(23);

@@ -156,8 +156,8 @@ fn random_texels(size: u32, count: usize) -> Vec<Tile> {
         .map(|_| Tile {
             face: Face::ALL[below(6) as usize],
             face_size: size,
-            x: below(size),
-            y: below(size),
+            x: below(size) as i32,
+            y: below(size) as i32,
             width: 1,
             height: 1,
         })

@@ -72,7 +72,7 @@ fn bake(mut scene: Scene) -> Vec<f64> {
     };
     let positions = [DVec3::new(0.3, -0.2, 0.1), DVec3::new(-0.7, 0.5, 0.6)];
     let probes = place::list(&positions, None, 0.0).expect("probes");
-    let settings = BakeSettings { face_size: 32, samples: 1, distance: false };
+    let settings = BakeSettings { face_size: 32, samples: 1, distance: false, edge_texels: false };
     let cubemaps = Mutex::new([const { None::<Cubemap> }; 2]);
     bake_probes(&tracer, &scene, &probes, &settings, &Silent, &AtomicBool::new(false), |i, cubemap, _| {
         cubemaps.lock().expect("no panic")[i] = Some(cubemap);

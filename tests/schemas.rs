@@ -35,7 +35,9 @@ fn a_job_with_every_field_is_valid_by_the_schema_and_a_wrong_one_is_not() {
         "output": "out",
         "placement": {"bounds": [-4, 0, -4, 4, 3, 4], "grid": [3, 1, 3], "probes": [], "overlap": 0.1},
         "faceSize": 256, "samples": 1, "footprint": "train:812.5", "order": "rayHitDistance", "shDirection": "mean", "tCutoff": 0.001, "tNear": 0,
-        "surface": "unlit", "tracer": "ray", "pixel": "half", "distance": true, "background": [0, 0, 0],
+        "surface": "unlit", "tracer": "ray", "pixel": "half", "distance": true,
+        "outputs": ["strip", "ktx2"], "mips": 7, "roughnessCurve": "filament", "hdrEncoding": "rgb9e5", "exposure": -1,
+        "shDegree": 3, "shWindow": true, "calibration": false, "background": [0, 0, 0],
         "threads": 2, "progress": "plain", "stats": "stats.json"
     });
     validator.validate(&job).unwrap();

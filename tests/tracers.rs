@@ -163,7 +163,7 @@ fn compare_pixels(
     let mut comparisons: Vec<Comparison> = tracers.iter().map(|_| Comparison::default()).collect();
     let mut random = Random(41);
     for _ in 0..4000 {
-        let (face, x, y) = (Face::ALL[random.below(6)], random.below(256) as u32, random.below(256) as u32);
+        let (face, x, y) = (Face::ALL[random.below(6)], random.below(256) as i32, random.below(256) as i32);
         let tile = Tile { face, face_size: 256, x, y, width: 1, height: 1 };
         let trace = |tracer: &dyn TileTracer| {
             let mut texel = [Radiance::default()];

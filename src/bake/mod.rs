@@ -1,5 +1,6 @@
 //! Probes to cubemaps, on all cores.
 
+mod calibration;
 mod schedule;
 
 use schemars::JsonSchema;
@@ -9,6 +10,7 @@ use crate::error::{Error, Result};
 use crate::job::{MAX_FACE_SIZE, MAX_SAMPLES};
 use crate::trace::{Face, Tile};
 
+pub use calibration::Calibration;
 pub use schedule::bake_probes;
 
 // The rays of a texel are traced in one tile.
@@ -23,6 +25,9 @@ pub struct BakeSettings {
     pub samples: u32,
     /// Whether the distance layer is kept.
     pub distance: bool,
+    /// Whether the first and last texels of a face lie on its edges, texel i of N at i / (N - 1), instead of at pixel
+    /// centres, (i + 1/2) / N. The rays around such a texel reach beyond the edge, and `samples` must be even.
+    pub edge_texels: bool,
 }
 
 impl BakeSettings {
@@ -39,6 +44,10 @@ impl BakeSettings {
         if !(1..=MAX_SAMPLES).contains(&self.samples) {
             let why = format!("{} is not 1 to {MAX_SAMPLES} rays along a texel's edge", self.samples);
             return Err(Error::request("samples", why));
+        }
+        if self.edge_texels && (self.face_size < 2 || !self.samples.is_multiple_of(2)) {
+            let why = "texels on edges need at least 2 along an edge, and an even number of rays";
+            return Err(Error::request("face-size", why));
         }
         Ok(())
     }

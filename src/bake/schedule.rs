@@ -171,6 +171,10 @@ struct Task<'a> {
 /// Cuts a cubemap into tiles that can be written independently. `origin` is the probe's, relative to the scene's.
 fn tasks<'a>(cubemap: &'a mut Cubemap, origin: DVec3, settings: &BakeSettings) -> Vec<Task<'a>> {
     let (face_size, samples) = (settings.face_size, settings.samples);
+    // A texel on an edge has half of its rays beyond it.
+    let (face_rays, beyond) =
+        if settings.edge_texels { ((face_size - 1) * samples, samples / 2) } else { (face_size * samples, 0) };
+    let first_ray = |texel: u32| (texel * samples) as i32 - beyond as i32;
     let tile_texels = Tile::EDGE / samples;
     let starts = || (0..face_size).step_by(tile_texels as usize);
     let rays = |start: u32| tile_texels.min(face_size - start) * samples;
@@ -181,9 +185,9 @@ fn tasks<'a>(cubemap: &'a mut Cubemap, origin: DVec3, settings: &BakeSettings) -
             origin,
             tile: Tile {
                 face,
-                face_size: face_size * samples,
-                x: x * samples,
-                y: y * samples,
+                face_size: face_rays,
+                x: first_ray(x),
+                y: first_ray(y),
                 width: rays(x),
                 height: rays(y),
             },
@@ -261,7 +265,7 @@ mod tests {
         fn trace_tile(&self, origin: DVec3, tile: &Tile, texels: &mut [Radiance]) {
             assert!(tile.width <= Tile::EDGE && tile.height <= Tile::EDGE);
             for (i, texel) in texels.iter_mut().enumerate() {
-                let (x, y) = (tile.x + i as u32 % tile.width, tile.y + i as u32 / tile.width);
+                let (x, y) = (tile.x as u32 + i as u32 % tile.width, tile.y as u32 + i as u32 / tile.width);
                 let direction = tile.face.direction(tile.face_size, f64::from(x) + 0.5, f64::from(y) + 0.5);
                 let distance = if tile.face == Face::PosX { 2.0 } else { 6.0 };
                 *texel = Radiance {
@@ -316,7 +320,7 @@ mod tests {
     #[test]
     fn every_texel_is_the_ray_through_its_centre_whatever_the_samples() {
         for (face_size, samples) in [(1, 1), (70, 1), (128, 1), (33, 2), (20, 4), (3, 64)] {
-            let settings = BakeSettings { face_size, samples, distance: true };
+            let settings = BakeSettings { face_size, samples, distance: true, edge_texels: false };
             for (index, cubemap, statistics) in bake(2, settings, 2, BATCH_BYTES) {
                 assert_eq!(statistics.rays, 6 * u64::from(face_size * samples).pow(2));
                 for face in Face::ALL {
@@ -336,7 +340,7 @@ mod tests {
 
     #[test]
     fn neither_threads_nor_batches_change_a_byte() {
-        let settings = BakeSettings { face_size: 70, samples: 2, distance: true };
+        let settings = BakeSettings { face_size: 70, samples: 2, distance: true, edge_texels: false };
         let one = bake(5, settings, 1, BATCH_BYTES);
         assert_eq!(one.len(), 5);
         assert!(one == bake(5, settings, 2, BATCH_BYTES));
@@ -346,7 +350,7 @@ mod tests {
 
     #[test]
     fn statistics_weigh_distances_by_coverage() {
-        let settings = BakeSettings { face_size: 65, samples: 1, distance: false };
+        let settings = BakeSettings { face_size: 65, samples: 1, distance: false, edge_texels: false };
         let (_, cubemap, statistics) = bake(1, settings, 2, BATCH_BYTES).remove(0);
         assert_eq!(cubemap.distance, None);
         assert_eq!(statistics.mean_coverage, 0.5);
@@ -361,7 +365,7 @@ mod tests {
     impl TileTracer for Fence {
         fn trace_tile(&self, _origin: DVec3, tile: &Tile, texels: &mut [Radiance]) {
             for (i, texel) in texels.iter_mut().enumerate() {
-                let x = tile.x + i as u32 % tile.width;
+                let x = tile.x as u32 + i as u32 % tile.width;
                 let wall = Radiance { distance_sum: 3.0, transmittance: 0.0, ..Radiance::default() };
                 *texel = if x.is_multiple_of(2) { wall } else { Radiance::default() };
             }
@@ -370,7 +374,7 @@ mod tests {
 
     #[test]
     fn rays_that_escape_bring_the_background_and_do_not_change_the_distance() {
-        let settings = BakeSettings { face_size: 3, samples: 2, distance: true };
+        let settings = BakeSettings { face_size: 3, samples: 2, distance: true, edge_texels: false };
         let sink = |_, cubemap: Cubemap, statistics: ProbeStatistics| {
             assert!(cubemap.texels.iter().all(|texel| *texel == [0.25, 0.25, 0.25, 0.5]), "{:?}", cubemap.texels);
             assert!(cubemap.distance.unwrap().iter().all(|distance| *distance == 3.0));
@@ -408,7 +412,7 @@ mod tests {
 
     #[test]
     fn progress_hears_of_every_ray_and_every_probe() {
-        let settings = BakeSettings { face_size: 8, samples: 1, distance: false };
+        let settings = BakeSettings { face_size: 8, samples: 1, distance: false, edge_texels: false };
         let (progress, cancel) = (Count::default(), AtomicBool::new(false));
         let sink = |_, _, _| Ok(());
         bake_probes(&DirectionColours, &scene(0.0), &probes(3), &settings, &progress, &cancel, sink).unwrap();
@@ -419,7 +423,7 @@ mod tests {
 
     #[test]
     fn a_cancelled_bake_delivers_nothing_and_says_so() {
-        let settings = BakeSettings { face_size: 8, samples: 1, distance: false };
+        let settings = BakeSettings { face_size: 8, samples: 1, distance: false, edge_texels: false };
         let (progress, cancel) = (Count::default(), AtomicBool::new(true));
         let sink = |_, _, _| panic!("delivered a probe");
         let result = bake_probes(&DirectionColours, &scene(0.0), &probes(3), &settings, &progress, &cancel, sink);
@@ -429,7 +433,7 @@ mod tests {
 
     #[test]
     fn the_error_of_the_sink_is_the_error_of_the_bake() {
-        let settings = BakeSettings { face_size: 8, samples: 1, distance: false };
+        let settings = BakeSettings { face_size: 8, samples: 1, distance: false, edge_texels: false };
         let sink = |_, _, _| Err(Error::write("full/disk", std::io::ErrorKind::StorageFull.into()));
         let cancel = AtomicBool::new(false);
         let result = bake_probes(&DirectionColours, &scene(0.0), &probes(3), &settings, &Silent, &cancel, sink);
@@ -442,7 +446,7 @@ mod tests {
         for (face_size, samples, wrong) in
             [(0, 1, "face-size"), (8193, 1, "face-size"), (8, 0, "samples"), (8, 65, "samples")]
         {
-            let settings = BakeSettings { face_size, samples, distance: false };
+            let settings = BakeSettings { face_size, samples, distance: false, edge_texels: false };
             let sink = |_, _, _| Ok(());
             let result = bake_probes(&DirectionColours, &scene(0.0), &probes(3), &settings, &Silent, &cancel, sink);
             assert!(matches!(result, Err(Error::Request { field, .. }) if field == wrong));

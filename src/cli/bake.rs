@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::Args;
 use splatprobe::job::{
-    Crop, Footprint, Frame, Job, MeshInput, Order, Pixel, ProgressStyle, ShDirection, SplatInput, Surface, Tracer,
-    Transform, parse_numbers,
+    Crop, Footprint, Frame, HdrEncoding, Job, MeshInput, Order, OutputKind, Pixel, ProgressStyle, RoughnessCurve,
+    ShDirection, SplatInput, Surface, Tracer, Transform, parse_numbers,
 };
 use splatprobe::scene::SplatEncoding;
 use splatprobe::{Error, Result, pipeline};
@@ -74,6 +74,30 @@ pub struct Bake {
     /// Also write the mean distance along each ray, in metres [default: false].
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL", help_heading = "Output")]
     distance: Option<bool>,
+    /// What is written for every probe, separated by commas [default: strip].
+    #[arg(long, value_name = "KIND,...", value_delimiter = ',', help_heading = "Output")]
+    outputs: Vec<OutputKind>,
+    /// Most mips of prefiltered radiance [default: 7].
+    #[arg(long, value_name = "N", help_heading = "Output")]
+    mips: Option<u32>,
+    /// How roughness grows along the mips [default: linear].
+    #[arg(long, value_name = "CURVE", help_heading = "Output")]
+    roughness_curve: Option<RoughnessCurve>,
+    /// How KTX2 files store radiance [default: rgba16f].
+    #[arg(long, value_name = "ENCODING", help_heading = "Output")]
+    hdr_encoding: Option<HdrEncoding>,
+    /// Stops by which everything written is brighter than traced [default: 0].
+    #[arg(long, value_name = "STOPS", allow_hyphen_values = true, help_heading = "Output")]
+    exposure: Option<f32>,
+    /// Highest band of the spherical harmonics in the manifest: 2 or 3 [default: 2].
+    #[arg(long, value_name = "BAND", help_heading = "Output")]
+    sh_degree: Option<u8>,
+    /// Also store spherical harmonics windowed so that no irradiance is negative [default: false].
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL", help_heading = "Output")]
+    sh_window: Option<bool>,
+    /// Bake light that codes its direction instead of the scene, to check consumers with [default: false].
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL", help_heading = "Output")]
+    calibration: Option<bool>,
     /// Write run times and counts to this file, as JSON.
     #[arg(long, value_name = "FILE", help_heading = "Output")]
     stats: Option<PathBuf>,
@@ -172,6 +196,16 @@ impl Bake {
         set(&mut job.background, self.background.map(|rgb| rgb.map(|value| value as f32)));
         set(&mut job.pixel, self.pixel);
         set(&mut job.distance, self.distance);
+        if !self.outputs.is_empty() {
+            job.outputs = self.outputs;
+        }
+        set(&mut job.mips, self.mips);
+        set(&mut job.roughness_curve, self.roughness_curve);
+        set(&mut job.hdr_encoding, self.hdr_encoding);
+        set(&mut job.exposure, self.exposure);
+        set(&mut job.sh_degree, self.sh_degree);
+        set(&mut job.sh_window, self.sh_window);
+        set(&mut job.calibration, self.calibration);
         set(&mut job.face_size, self.face_size);
         set(&mut job.samples, self.samples);
         set(&mut job.footprint, self.footprint);
@@ -255,7 +289,7 @@ mod tests {
         let text = r#"{"splats": [{"path": "a.ply"}], "placement": {"probes": [[1, 2, 3]]}, "faceSize": 8}"#;
         std::fs::write(&path, text).unwrap();
         let line = "--splats b.ply --splat-frame rub --splat-transform s=2 --splat-encoding lin-scene --crop sphere:-1,2,3,4 \
-            --min-opacity 0.25 --lod 2 --mesh c.glb --mesh-transform t=1,2,3 --mesh-scene 1 --background 1,2,3 -o out --pixel float --distance --stats s.json \
+            --min-opacity 0.25 --lod 2 --mesh c.glb --mesh-transform t=1,2,3 --mesh-scene 1 --background 1,2,3 -o out --pixel float --distance --stats s.json --outputs mips,latlong-hdr --mips 5 --roughness-curve unity --hdr-encoding rgb9e5 --exposure -1.5 --sh-degree 3 --sh-window --calibration \
             --bounds -1,-2,-3,1,2,3 --grid 2,3,4 --overlap 0.5 --face-size 16 --samples 2 --footprint train:800 --order cameraDistance \
             --sh-direction ray --t-cutoff 0 --t-near 0.5 --surface unlit --tracer reference --threads 3 --progress json";
         let line: Vec<&str> = [path.to_str().unwrap()].into_iter().chain(line.split_whitespace()).collect();
@@ -264,7 +298,8 @@ mod tests {
                 "lod": 2, "crop": {"sphere": [-1, 2, 3, 4]}, "minOpacity": 0.25}],
             "meshes": [{"path": "c.glb", "transform": {"translation": [1, 2, 3]}, "scene": "1"}],
             "output": "out", "stats": "s.json", "progress": "json", "threads": 3, "background": [1, 2, 3],
-            "pixel": "float", "distance": true, "faceSize": 16, "samples": 2, "footprint": "train:800", "order": "cameraDistance",
+            "pixel": "float", "distance": true, "outputs": ["mips", "latlong-hdr"], "mips": 5, "roughnessCurve": "unity",
+            "hdrEncoding": "rgb9e5", "exposure": -1.5, "shDegree": 3, "shWindow": true, "calibration": true, "faceSize": 16, "samples": 2, "footprint": "train:800", "order": "cameraDistance",
             "shDirection": "ray", "tCutoff": 0, "tNear": 0.5, "surface": "unlit", "tracer": "reference",
             "placement": {"bounds": [-1, -2, -3, 1, 2, 3], "grid": [2, 3, 4], "overlap": 0.5}
         }"#;

@@ -6,12 +6,15 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
+use std::ops::Range;
 use std::path::Path;
 
+use exr::meta::attribute::EnvironmentMap;
 use exr::prelude::{
-    AnyChannel, AnyChannels, Blocks, Compression, Encoding, FlatSamples, Image as ExrImage, Layer, LayerAttributes,
-    LineOrder, ReadChannels, ReadLayers, WritableImage, f16, read,
+    AnyChannel, AnyChannels, Blocks, Compression, Encoding, FlatSamples, Image as ExrImage, ImageAttributes,
+    IntegerBounds, Layer, LayerAttributes, LineOrder, ReadChannels, ReadLayers, Vec2, WritableImage, f16, read,
 };
+use glam::Vec3;
 
 use super::file::write_bytes_atomically;
 use crate::bake::Cubemap;
@@ -32,36 +35,86 @@ const MAX_PIXEL_BYTES: u64 = 8 << 30;
 
 /// Writes a cubemap as a vertical strip: `face_size` wide and `6 face_size` high, faces in the order +X -X +Y -Y +Z -Z.
 ///
-/// Scanlines, PIZ. Channels R, G, B (linear Rec.709, premultiplied) and A (coverage) as `pixel`; Z (metres, always
-/// float) when the cubemap has distances. The same cubemap gives the same bytes.
+/// Channels R, G, B (linear Rec.709, premultiplied) and A (coverage) as `pixel`; Z (metres, always float) when the cubemap
+/// has distances. Returns and fails as [`write_parts`].
+pub fn write_cubemap(path: &Path, cubemap: &Cubemap, pixel: Pixel) -> Result<usize> {
+    let face_size = cubemap.face_size as usize;
+    write_parts(path, vec![Part::cubemap(cubemap, 0..6 * face_size, pixel)])
+}
+
+/// An image in an EXR file.
+#[derive(Debug, Clone)]
+pub struct Part {
+    /// Needed where a file has several, each another.
+    pub name: Option<String>,
+    /// Pixels per row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Name, storage and values, row by row.
+    pub channels: Vec<(&'static str, Pixel, Vec<f32>)>,
+    /// Whether this is a strip of cube faces with texels on the edges: then it gets OpenEXR's `envmap` attribute.
+    pub is_envmap: bool,
+}
+
+impl Part {
+    /// Some rows of a cubemap's strip, with the channels of [`write_cubemap`].
+    pub fn cubemap(cubemap: &Cubemap, rows: Range<usize>, pixel: Pixel) -> Self {
+        let width = cubemap.face_size as usize;
+        let texels = rows.start * width..rows.end * width;
+        let values = |index: usize| cubemap.texels[texels.clone()].iter().map(|texel| texel[index]).collect();
+        let mut channels: Vec<_> =
+            ["R", "G", "B", "A"].into_iter().zip(0..).map(|(name, index)| (name, pixel, values(index))).collect();
+        if let Some(distance) = &cubemap.distance {
+            channels.push((DISTANCE_CHANNEL, Pixel::Float, distance[texels.clone()].to_vec()));
+        }
+        Self { name: None, width, height: rows.len(), channels, is_envmap: false }
+    }
+
+    /// Linear RGB, row by row.
+    pub fn rgb(width: usize, pixels: &[Vec3], pixel: Pixel) -> Self {
+        let values = |axis: usize| pixels.iter().map(|colour| colour[axis]).collect();
+        let channels = ["R", "G", "B"].into_iter().zip(0..).map(|(name, axis)| (name, pixel, values(axis))).collect();
+        Self { name: None, width, height: pixels.len() / width, channels, is_envmap: false }
+    }
+}
+
+/// Writes an EXR file: scan lines, PIZ. The same parts give the same bytes.
 ///
 /// Half holds no more than 65504 in magnitude: larger values are written as that, never as infinity. Returns how many
 /// were. Fails with [`Error::Write`]; an earlier file is then untouched.
-pub fn write_cubemap(path: &Path, cubemap: &Cubemap, pixel: Pixel) -> Result<usize> {
+pub fn write_parts(path: &Path, parts: Vec<Part>) -> Result<usize> {
     let mut clamped = 0;
-    let mut colour_channel = |(index, name): (usize, &str)| {
-        let values = cubemap.texels.iter().map(|texel| texel[index]);
+    // Half's largest magnitude, in f32.
+    let limit = f16::MAX.to_f32();
+    let mut samples = |(name, pixel, values): (&str, Pixel, Vec<f32>)| {
         let samples = match pixel {
-            Pixel::Float => FlatSamples::F32(values.collect()),
+            Pixel::Float => FlatSamples::F32(values),
             Pixel::Half => {
-                let limit = f16::MAX.to_f32();
-                clamped += values.clone().filter(|value| value.abs() > limit).count();
-                FlatSamples::F16(values.map(|value| f16::from_f32(value.clamp(-limit, limit))).collect())
+                clamped += values.iter().filter(|value| value.abs() > limit).count();
+                FlatSamples::F16(values.iter().map(|value| f16::from_f32(value.clamp(-limit, limit))).collect())
             }
         };
         AnyChannel::new(name, samples)
     };
-    let mut channels: Vec<_> = ["R", "G", "B", "A"].into_iter().enumerate().map(&mut colour_channel).collect();
-    if let Some(distance) = &cubemap.distance {
-        channels.push(AnyChannel::new(DISTANCE_CHANNEL, FlatSamples::F32(distance.clone())));
-    }
     // An increasing line order, and no more than one custom attribute, keep the bytes the same from run to run.
     let encoding =
         Encoding { compression: Compression::PIZ, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
-    let face_size = cubemap.face_size as usize;
-    let channels = AnyChannels::sort(channels.into());
-    let layer = Layer::new((face_size, 6 * face_size), LayerAttributes::default(), encoding, channels);
-    let image = ExrImage::from_layer(layer);
+    let layers: Vec<_> = parts
+        .into_iter()
+        .map(|part| {
+            let attributes = LayerAttributes {
+                layer_name: part.name.map(|name| name.as_str().into()),
+                environment_map: part.is_envmap.then_some(EnvironmentMap::Cube),
+                ..LayerAttributes::default()
+            };
+            let channels = AnyChannels::sort(part.channels.into_iter().map(&mut samples).collect());
+            Layer::new((part.width, part.height), attributes, encoding, channels)
+        })
+        .collect();
+    // The first part is the largest.
+    let size = layers.first().map_or(Vec2(0, 0), |layer| layer.size);
+    let image = ExrImage::from_layers(ImageAttributes::new(IntegerBounds::new(Vec2(0, 0), size)), layers);
     // Probes are encoded in parallel already, and the crate would start a thread pool for each file.
     write_bytes_atomically(path, |writer| image.write().non_parallel().to_buffered(writer).map_err(io_error))?;
     Ok(clamped)

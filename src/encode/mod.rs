@@ -2,4 +2,8 @@
 
 pub mod exr;
 pub mod file;
+pub mod ktx2;
+pub mod latlong;
 pub mod preview;
+pub mod rgbd;
+pub mod slots;

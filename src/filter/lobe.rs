@@ -158,6 +158,8 @@ fn tangents(normal: Vec3) -> [Vec3; 2] {
 
 #[cfg(test)]
 mod tests {
+    use glam::Vec3Swizzles;
+
     use super::*;
 
     #[test]

@@ -2,13 +2,13 @@
 
 pub mod cubemap;
 mod lobe;
+pub mod moments;
 pub mod prefilter;
-pub mod roughness;
+mod roughness;
 pub mod sampler;
 pub mod sh;
 
 pub use cubemap::RgbCubemap;
 pub use prefilter::Prefilter;
-pub use roughness::RoughnessCurve;
 pub use sampler::Sampler;
 pub use sh::ShRadiance;

@@ -1,9 +1,9 @@
 //! Cubemaps convolved with reflection lobes.
 
-use super::RoughnessCurve;
 use super::cubemap::{RgbCubemap, direction};
 use super::lobe::Lobe;
 use super::sampler::Sampler;
+use crate::job::RoughnessCurve;
 use crate::trace::Level;
 
 /// Samples of the widest GGX lobe and of the Lambertian one, per texel. Narrower lobes take fewer in proportion to their
@@ -67,8 +67,11 @@ impl Prefilter {
         self.convolve(&Lobe::lambert(SAMPLES, &self.sizes), size)
     }
 
-    /// A chain of `count` mips, from the source's size by halves, with the roughnesses of `curve`.
+    /// A chain of `count` mips, from the source's size by halves, with the roughnesses of `curve`; fewer where a single texel
+    /// is reached before.
     pub fn chain(&self, curve: RoughnessCurve, count: u32) -> Vec<RoughnessMip> {
+        // As many as there are halves, so that the last is the roughest.
+        let count = count.min(self.sizes.len() as u32);
         let sizes = self.sizes.iter().zip(0..count);
         sizes
             .map(|(&size, index)| {

@@ -1,26 +1,6 @@
 //! Which roughness each mip of a chain has, by consumer. All roughnesses are perceptual: GGX alpha is their square.
 
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-
-/// How roughness grows along a chain of mips.
-///
-/// With l the mip's index over the index of the last mip:
-#[derive(Debug, Default, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
-#[serde(rename_all = "lowercase")]
-pub enum RoughnessCurve {
-    /// r = l: Bevy, EXT_lights_image_based. The default.
-    #[default]
-    Linear,
-    /// r (2 - r) = l: Filament (IndirectLight.h), three.js.
-    Filament,
-    /// r (1.7 - 0.7 r) = l: Unity (ImageBasedLighting.hlsl), whose shaders expect 7 mips.
-    Unity,
-    /// The same roughness for the same edge of a face, whatever the size of mip 0: 1 at 2 px and `2^(-1/1.2)` of it with
-    /// each doubling (Karis 2013; Unreal's ReflectionEnvironmentShared.ush).
-    Unreal,
-}
+use crate::job::RoughnessCurve;
 
 impl RoughnessCurve {
     /// Perceptual roughness of mip `index` of `count`, whose faces have `face_size` texels along an edge.

@@ -152,7 +152,7 @@ fn neighbour(cubemap: &RgbCubemap, face: Face, x: usize, y: usize) -> Vec3 {
 
 #[cfg(test)]
 mod tests {
-    use glam::DVec3;
+    use glam::{DVec3, Vec3Swizzles};
 
     use super::*;
 

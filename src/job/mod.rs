@@ -6,6 +6,7 @@ mod crop;
 mod file;
 mod footprint;
 mod inputs;
+mod outputs;
 mod validate;
 
 use std::path::PathBuf;
@@ -16,7 +17,8 @@ use serde::{Deserialize, Serialize};
 pub use crop::Crop;
 pub use footprint::Footprint;
 pub use inputs::{Frame, MeshInput, SplatInput, Transform, parse_numbers};
-pub use validate::{MAX_FACE_SIZE, MAX_PROBES, MAX_SAMPLES};
+pub use outputs::{HdrEncoding, OutputKind, RoughnessCurve};
+pub use validate::{MAX_FACE_SIZE, MAX_MIPS, MAX_PROBES, MAX_SAMPLES};
 
 /// In which order contributions along a ray are blended (OpenUSD's and KHR_gaussian_splatting's terms).
 #[derive(Debug, Default, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -167,6 +169,28 @@ pub struct Job {
     pub pixel: Pixel,
     /// Whether a layer with the mean distance along each ray, in metres, is written. Default: false.
     pub distance: bool,
+    /// What is written for every probe. Default: strip.
+    #[schemars(length(min = 1), extend("uniqueItems" = true))]
+    pub outputs: Vec<OutputKind>,
+    /// Most mips of prefiltered radiance; each has half of the size of the one before, down to a texel. Default: 7.
+    #[schemars(range(min = 1, max = 14))]
+    pub mips: u32,
+    /// How roughness grows along the mips. Default: linear.
+    pub roughness_curve: RoughnessCurve,
+    /// How KTX2 files store radiance. Default: rgba16f.
+    pub hdr_encoding: HdrEncoding,
+    /// Stops by which everything written is brighter than traced: radiance times 2 to this power. Default: 0.
+    #[schemars(range(min = -32, max = 32))]
+    pub exposure: f32,
+    /// Highest band of the spherical harmonics of each probe: 2 or 3. Default: 2.
+    #[schemars(range(min = 2, max = 3))]
+    pub sh_degree: u8,
+    /// Whether a windowed copy of the spherical harmonics is stored beside the raw ones, whose irradiance is nowhere negative.
+    /// Default: false.
+    pub sh_window: bool,
+    /// Whether light that codes its direction is baked instead of the scene, to check how consumers look cubemaps up.
+    /// Default: false.
+    pub calibration: bool,
     /// Linear red, green, blue radiance of rays that leave the scene. Default: 0, 0, 0.
     #[schemars(inner(range(min = 0.0)))]
     pub background: [f32; 3],
@@ -201,6 +225,14 @@ impl Default for Job {
             tracer: Tracer::default(),
             pixel: Pixel::default(),
             distance: false,
+            outputs: vec![OutputKind::Strip],
+            mips: 7,
+            roughness_curve: RoughnessCurve::default(),
+            hdr_encoding: HdrEncoding::default(),
+            exposure: 0.0,
+            sh_degree: 2,
+            sh_window: false,
+            calibration: false,
             background: [0.0; 3],
             threads: 0,
             progress: ProgressStyle::default(),

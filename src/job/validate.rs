@@ -1,7 +1,7 @@
 //! The one place where a job's values are checked, alone and together.
 
 use super::footprint::MIN_FOCAL;
-use super::{Crop, Footprint, Job, MeshInput, Placement, SplatInput, Transform};
+use super::{Crop, Footprint, Job, MeshInput, OutputKind, Placement, SplatInput, Transform};
 use crate::{Error, Result};
 
 /// Largest edge of a cube face, in pixels: a probe's six faces then take 6 GiB while they are traced.
@@ -9,6 +9,12 @@ pub const MAX_FACE_SIZE: u32 = 8192;
 
 /// Largest number of rays per pixel and axis.
 pub const MAX_SAMPLES: u32 = 64;
+
+/// Most mips of a chain: those of the largest face.
+pub const MAX_MIPS: u32 = MAX_FACE_SIZE.ilog2() + 1;
+
+/// Largest exposure in stops, either way: more leaves the range of half floats.
+const MAX_EXPOSURE: f32 = 32.0;
 
 /// Most probes of one bake; each is a folder.
 pub const MAX_PROBES: usize = 1_000_000;
@@ -26,7 +32,7 @@ impl Job {
     /// Checks every setting, alone and together. The first fault is the error, named by its flag, with what would be
     /// right. Files are not touched.
     pub fn validate(&self) -> Result<()> {
-        require(!self.splats.is_empty() || !self.meshes.is_empty(), "--splats", || {
+        require(self.calibration || !self.splats.is_empty() || !self.meshes.is_empty(), "--splats", || {
             "nothing to bake: give at least one splat or mesh file".into()
         })?;
         self.splats.iter().try_for_each(SplatInput::validate)?;
@@ -53,6 +59,7 @@ impl Job {
         require(self.background.iter().all(|value| value.is_finite() && *value >= 0.0), "--background", || {
             format!("{:?} is not a radiance: three finite numbers, 0 or more", self.background)
         })?;
+        self.validate_outputs()?;
         require(self.threads <= MAX_THREADS, "--threads", || {
             format!("{} is more than {MAX_THREADS}; 0 is one per core", self.threads)
         })?;
@@ -66,6 +73,23 @@ impl Job {
                 self.samples
             )
         })
+    }
+
+    fn validate_outputs(&self) -> Result<()> {
+        let is_once = |(i, output): (usize, &OutputKind)| !self.outputs[..i].contains(output);
+        require(!self.outputs.is_empty() && self.outputs.iter().enumerate().all(is_once), "--outputs", || {
+            format!("{:?} does not name at least one kind of file, and each once", self.outputs)
+        })?;
+        require(!self.outputs.contains(&OutputKind::Envmap) || self.face_size >= 2, "--face-size", || {
+            "an envmap has texels on the edges of its faces: it needs at least 2".into()
+        })?;
+        require((1..=MAX_MIPS).contains(&self.mips), "--mips", || {
+            format!("{} is not between 1 and {MAX_MIPS}", self.mips)
+        })?;
+        require(self.exposure.abs() <= MAX_EXPOSURE, "--exposure", || {
+            format!("{} is not between -{MAX_EXPOSURE} and {MAX_EXPOSURE} stops", self.exposure)
+        })?;
+        require((2..=3).contains(&self.sh_degree), "--sh-degree", || format!("{} is neither 2 nor 3", self.sh_degree))
     }
 
     fn ray_count(&self) -> u128 {
@@ -196,7 +220,7 @@ mod tests {
     #[test]
     fn every_fault_is_an_error_that_names_its_flag() {
         type Fault = (&'static str, fn(&mut Job));
-        let faults: [Fault; 28] = [
+        let faults: [Fault; 34] = [
             ("--splats", |job| job.splats.clear()),
             ("--splats", |job| job.splats[0].path = "".into()),
             ("--splat-transform", |job| job.splats[0].transform.rotation = [0.0; 4]),
@@ -223,6 +247,12 @@ mod tests {
             ("--footprint", |job| job.footprint = Footprint::Train(f64::INFINITY)),
             ("--t-near", |job| job.t_near = f32::NAN),
             ("--background", |job| job.background[1] = -1.0),
+            ("--outputs", |job| job.outputs.clear()),
+            ("--outputs", |job| job.outputs = vec![OutputKind::Mips, OutputKind::Mips]),
+            ("--face-size", |job| (job.outputs, job.face_size) = (vec![OutputKind::Envmap], 1)),
+            ("--mips", |job| job.mips = 0),
+            ("--exposure", |job| job.exposure = f32::NAN),
+            ("--sh-degree", |job| job.sh_degree = 4),
             ("--threads", |job| job.threads = usize::MAX),
             ("--face-size", |job| (job.placement.grid, job.face_size) = (Some([100, 10, 100]), 2048)),
         ];

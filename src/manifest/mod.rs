@@ -15,7 +15,7 @@ use crate::{Error, Result};
 
 pub use model::{
     Colour, DisplayTransform, FileFormat, FileRecord, FileRole, Frame, Influence, InputRecord, Layout, Manifest,
-    ProbeRecord, TexelSampling, path_in,
+    MipRecord, PixelFormat, ProbeRecord, ShRecord, TexelSampling, WindowedSh, path_in,
 };
 pub use verify::verify;
 

@@ -38,7 +38,7 @@ impl Manifest {
             format_version: FORMAT_VERSION,
             generator: concat!("splatprobe ", env!("CARGO_PKG_VERSION")).into(),
             frame: Frame::default(),
-            colour: Colour::new(encoding),
+            colour: Colour::new(encoding, job.exposure),
             inputs,
             settings: job.result_settings(),
             probes,
@@ -72,7 +72,9 @@ impl Default for Frame {
 pub struct Colour {
     /// Colour space of radiance: `lin_rec709`, linear with Rec.709 primaries and D65 white, unclamped.
     pub space: String,
-    /// Radiance of paper white.
+    /// Stops by which radiance is brighter than traced.
+    pub exposure: f32,
+    /// Radiance of paper white, the display white of the capture: 2 to the power of the exposure.
     pub paper_white: f64,
     /// What the blended splat colours were taken to mean. Linear inputs beside display-referred ones were added to linear
     /// light by themselves; each input's report states its own encoding.
@@ -82,12 +84,13 @@ pub struct Colour {
 }
 
 impl Colour {
-    fn new(splat_encoding: SplatEncoding) -> Self {
+    fn new(splat_encoding: SplatEncoding, exposure: f32) -> Self {
         let display_transform = match splat_encoding {
             SplatEncoding::SrgbDisplay => DisplayTransform::Srgb,
             SplatEncoding::LinDisplay | SplatEncoding::LinScene => DisplayTransform::None,
         };
-        Self { space: "lin_rec709".into(), paper_white: 1.0, splat_encoding, display_transform }
+        let paper_white = f64::from(exposure).exp2();
+        Self { space: "lin_rec709".into(), exposure, paper_white, splat_encoding, display_transform }
     }
 }
 
@@ -132,6 +135,8 @@ pub struct ProbeRecord {
     pub priority: i32,
     /// The probe's files.
     pub files: Vec<FileRecord>,
+    /// Radiance around the probe as spherical harmonics.
+    pub sh: ShRecord,
     /// What the rays of the probe met.
     pub statistics: ProbeStatistics,
 }
@@ -166,16 +171,69 @@ pub struct FileRecord {
     /// Rows.
     pub height: u32,
     /// How a pixel's numbers are stored.
-    pub pixel: Pixel,
+    pub pixel: PixelFormat,
     /// Where in a face the first and last texel lie.
     pub texel_sampling: TexelSampling,
     /// Names of the channels, sorted.
     pub channels: Vec<String>,
+    /// The cube face that the file shows, where it shows one.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub face: Option<String>,
+    /// The images in the file where they are prefiltered for rough reflection: parts, levels or the only one, the largest
+    /// first.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub mips: Vec<MipRecord>,
+    /// Moments: the distance in metres that nothing counts as farther than, and that open directions have.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub max_distance: Option<f64>,
     /// Size in bytes.
     pub bytes: u64,
     /// BLAKE3 hash of the content, in hexadecimal.
     #[schemars(regex(pattern = "^[0-9a-f]{64}$"))]
     pub blake3: String,
+}
+
+/// An image that is prefiltered for rough reflection.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, rename_all = "camelCase")]
+pub struct MipRecord {
+    /// Perceptual roughness, 0 to 1; GGX alpha is its square.
+    pub roughness: f64,
+    /// Pixels per row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+}
+
+/// Radiance as real, orthonormal spherical harmonics: `L_lm = integral of L(d) Y_lm(d)` over the sphere.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, rename_all = "camelCase")]
+pub struct ShRecord {
+    /// Highest band, 2 or 3.
+    pub degree: u8,
+    /// What the coefficients stand for and in which order they come.
+    pub basis: String,
+    /// Raw coefficients of linear red, green, blue.
+    pub coefficients: Vec<[f64; 3]>,
+    /// A copy whose irradiance is nowhere negative, where asked for.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub windowed: Option<WindowedSh>,
+}
+
+impl ShRecord {
+    /// What [`ShRecord::basis`] says.
+    pub const BASIS: &str = "L00 L1-1 L10 L11 L2-2 L2-1 L20 L21 L22 (L3-3 ... L33); radiance, not convolved; \
+        no Condon-Shortley phase: Y1-1 = 0.488603 y, Y10 = 0.488603 z, Y11 = 0.488603 x";
+}
+
+/// Coefficients multiplied by a window.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, rename_all = "camelCase")]
+pub struct WindowedSh {
+    /// The window's width w in bands: band l was multiplied by sinc(pi l / w)^4; none where no window was needed.
+    pub width: Option<f64>,
+    /// Coefficients of linear red, green, blue.
+    pub coefficients: Vec<[f64; 3]>,
 }
 
 impl FileRecord {
@@ -199,14 +257,26 @@ pub enum FileRole {
     /// Linear radiance R, G, B, background included; coverage A, the share of light that the scene itself sent; where
     /// asked for, the mean distance in metres as another layer.
     Radiance,
+    /// Linear radiance, prefiltered for reflection by rough surfaces (GGX at N = V = R).
+    Specular,
+    /// Irradiance over pi by the surface's normal: linear R, G, B.
+    Irradiance,
+    /// Mean distance R and mean squared distance G by direction, in metres.
+    Moments,
 }
 
 /// A file format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum FileFormat {
-    /// OpenEXR, one part, scan lines.
+    /// OpenEXR, scan lines; a part per mip.
     Exr,
+    /// Radiance RGBE.
+    Hdr,
+    /// KTX 2.0, levels compressed with Zstandard.
+    Ktx2,
+    /// PNG.
+    Png,
 }
 
 /// How the six faces of a cube lie in an image.
@@ -216,6 +286,14 @@ pub enum Layout {
     /// One below the other: +X -X +Y -Y +Z -Z, each oriented as OpenEXR orients cube faces, seen from inside, not
     /// mirrored.
     Strip,
+    /// One face, oriented likewise.
+    Face,
+    /// By latitude and longitude: straight up at the top, +Z in the middle, +X a quarter from the left.
+    Latlong,
+    /// A cube map of a graphics API, looked up by the direction in the manifest's frame as it is.
+    Cube,
+    /// Octahedral: +Z in the middle, +X at the right, +Y at the last row.
+    Octahedral,
 }
 
 /// Where in a face its texels lie.
@@ -224,4 +302,31 @@ pub enum Layout {
 pub enum TexelSampling {
     /// Texel i of N lies at (i + 1/2) / N of the face's edge.
     Center,
+    /// Texel i of N lies at i / (N - 1) of the face's edge: the outermost ones are shared by neighbouring faces.
+    Edge,
+}
+
+/// How a pixel's numbers are stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum PixelFormat {
+    /// 16 bit floating point.
+    Half,
+    /// 32 bit floating point.
+    Float,
+    /// 8 bits per channel with a shared exponent.
+    Rgbe,
+    /// 9 bits per channel with a shared exponent of 5.
+    Rgb9e5,
+    /// 8 bits per channel: linear = (rgb / 255)^2.2 / (a / 255).
+    Rgbd,
+}
+
+impl From<Pixel> for PixelFormat {
+    fn from(pixel: Pixel) -> Self {
+        match pixel {
+            Pixel::Half => Self::Half,
+            Pixel::Float => Self::Float,
+        }
+    }
 }

@@ -2,17 +2,18 @@
 
 use std::collections::BTreeSet;
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use exr::block::lines::LineRef;
 use exr::block::reader::{ChunksReader, Reader};
 use exr::prelude::SampleType;
 use half::f16;
+use image::ImageDecoder;
 
-use super::{FileRecord, Manifest, digest};
+use super::{FileFormat, FileRecord, Layout, Manifest, PixelFormat, digest};
 use crate::encode::exr::DISTANCE_CHANNEL;
-use crate::job::{MAX_FACE_SIZE, Pixel};
+use crate::job::MAX_FACE_SIZE;
 use crate::{Error, Result};
 
 /// Checks every file that the manifest at `path` lists: presence, size, hash, and that it opens with the declared size and
@@ -49,11 +50,37 @@ pub fn verify(path: &Path) -> Result<Vec<Error>> {
 /// The file's path, when what the record says is sound by itself. The bound on its size also bounds what reading the file
 /// may allocate.
 fn check_record(folder: &Path, record: &FileRecord) -> std::result::Result<PathBuf, String> {
-    if !(1..=MAX_FACE_SIZE).contains(&record.width) || record.height != 6 * record.width {
-        return Err(format!("{} x {} pixels are not a strip of six square faces", record.width, record.height));
+    for (width, height) in images(record) {
+        if !has_layout(width, height, record.layout) {
+            let shape = match record.layout {
+                Layout::Strip => "a strip of six square faces",
+                Layout::Latlong => "twice as wide as high",
+                Layout::Face | Layout::Cube | Layout::Octahedral => "square",
+            };
+            return Err(format!("{width} x {height} pixels are not {shape}, or too large"));
+        }
+    }
+    if record.mips.first().is_some_and(|mip| (mip.width, mip.height) != (record.width, record.height)) {
+        return Err("the first mip is not of the file's size".into());
     }
     let path = record.path_in(folder);
     path.ok_or_else(|| format!("path '{}' does not stay in the manifest's folder", record.path))
+}
+
+fn has_layout(width: u32, height: u32, layout: Layout) -> bool {
+    match layout {
+        Layout::Strip => (1..=MAX_FACE_SIZE).contains(&width) && height == 6 * width,
+        Layout::Face | Layout::Cube | Layout::Octahedral => (1..=MAX_FACE_SIZE).contains(&width) && height == width,
+        Layout::Latlong => (1..=2 * MAX_FACE_SIZE).contains(&height) && width == 2 * height,
+    }
+}
+
+/// Width and height of every image in a file: its mips, or the only one.
+fn images(record: &FileRecord) -> Vec<(u32, u32)> {
+    if record.mips.is_empty() {
+        return vec![(record.width, record.height)];
+    }
+    record.mips.iter().map(|mip| (mip.width, mip.height)).collect()
 }
 
 fn verify_file(path: &Path, record: &FileRecord) -> Vec<Error> {
@@ -72,7 +99,12 @@ fn verify_file(path: &Path, record: &FileRecord) -> Vec<Error> {
             format!("BLAKE3 is {blake3}; the manifest says {}", record.blake3),
         ));
     }
-    problems.extend(verify_exr(path, record).err());
+    let content = match record.format {
+        FileFormat::Exr => verify_exr(path, record),
+        FileFormat::Hdr | FileFormat::Png => verify_image(path, record),
+        FileFormat::Ktx2 => verify_ktx2(path, record),
+    };
+    problems.extend(content.err());
     problems
 }
 
@@ -81,40 +113,104 @@ fn verify_exr(path: &Path, record: &FileRecord) -> Result<()> {
     let broken = |error: exr::error::Error| Error::invalid(path, "OpenEXR", error.to_string());
     let file = File::open(path).map_err(|source| Error::read(path, source))?;
     let reader = Reader::read_from_buffered(BufReader::new(file), false).map_err(broken)?;
-    let [header] = reader.headers() else {
-        return Err(Error::invalid(path, "header", format!("{} parts instead of 1", reader.headers().len())));
-    };
-    let (width, height) = (header.layer_size.width(), header.layer_size.height());
-    if (width, height) != (record.width as usize, record.height as usize) {
-        let what = format!("{width} x {height} pixels; the manifest says {} x {}", record.width, record.height);
+    let expected = images(record);
+    if reader.headers().len() != expected.len() {
+        let what = format!("{} parts instead of {}", reader.headers().len(), expected.len());
         return Err(Error::invalid(path, "header", what));
     }
-    let channels = header.channels.clone();
-    let names: Vec<String> = channels.list.iter().map(|channel| channel.name.to_string()).collect();
-    if names != record.channels {
-        let what = format!("channels {}; the manifest says {}", names.join(" "), record.channels.join(" "));
-        return Err(Error::invalid(path, "header", what));
-    }
-    let sample_type = match record.pixel {
-        Pixel::Half => SampleType::F16,
-        Pixel::Float => SampleType::F32,
-    };
-    for channel in channels.list.iter().filter(|channel| !channel.name.eq(DISTANCE_CHANNEL)) {
-        if channel.sample_type != sample_type {
-            let what =
-                format!("channel {} is {:?}; the manifest says {:?}", channel.name, channel.sample_type, record.pixel);
+    for (header, &(width, height)) in reader.headers().iter().zip(&expected) {
+        check_size(path, (header.layer_size.width(), header.layer_size.height()), (width, height))?;
+        let channels = &header.channels.list;
+        let names: Vec<String> = channels.iter().map(|channel| channel.name.to_string()).collect();
+        if names != record.channels {
+            let what = format!("channels {}; the manifest says {}", names.join(" "), record.channels.join(" "));
             return Err(Error::invalid(path, "header", what));
         }
+        let sample_type = if record.pixel == PixelFormat::Half { SampleType::F16 } else { SampleType::F32 };
+        for channel in channels.iter().filter(|channel| !channel.name.eq(DISTANCE_CHANNEL)) {
+            if channel.sample_type != sample_type {
+                let (name, found) = (&channel.name, channel.sample_type);
+                let what = format!("channel {name} is {found:?}; the manifest says {:?}", record.pixel);
+                return Err(Error::invalid(path, "header", what));
+            }
+        }
     }
+    let parts: Vec<_> = reader.headers().iter().map(|header| header.channels.clone()).collect();
     let mut blocks = reader.all_chunks(false).map_err(broken)?.sequential_decompressor(false);
     while let Some(block) = blocks.decompress_next_block() {
         let block = block.map_err(broken)?;
-        for line in block.lines(&channels) {
+        let Some(channels) = parts.get(block.index.layer) else {
+            return Err(Error::invalid(path, "OpenEXR", "a block of no part"));
+        };
+        for line in block.lines(channels) {
             let channel = &channels.list[line.location.channel];
             if !is_finite(channel.sample_type, &line) {
                 let place = format!("channel {}, row {}", channel.name, line.location.position.y());
                 return Err(Error::invalid(path, place, "a value is not finite"));
             }
+        }
+    }
+    Ok(())
+}
+
+fn check_size(path: &Path, found: (usize, usize), (width, height): (u32, u32)) -> Result<()> {
+    if found == (width as usize, height as usize) {
+        return Ok(());
+    }
+    let what = format!("{} x {} pixels; the manifest says {width} x {height}", found.0, found.1);
+    Err(Error::invalid(path, "header", what))
+}
+
+/// Formats that hold finite values only.
+fn verify_image(path: &Path, record: &FileRecord) -> Result<()> {
+    let broken = |error: image::ImageError| Error::invalid(path, "image", error.to_string());
+    let format = if record.format == FileFormat::Hdr { image::ImageFormat::Hdr } else { image::ImageFormat::Png };
+    let file = File::open(path).map_err(|source| Error::read(path, source))?;
+    let decoder = image::ImageReader::with_format(BufReader::new(file), format).into_decoder().map_err(broken)?;
+    let (width, height) = decoder.dimensions();
+    check_size(path, (width as usize, height as usize), (record.width, record.height))?;
+    image::DynamicImage::from_decoder(decoder).map_err(broken).map(drop)
+}
+
+fn verify_ktx2(path: &Path, record: &FileRecord) -> Result<()> {
+    let bytes = std::fs::read(path).map_err(|source| Error::read(path, source))?;
+    let broken = |place: String, what: String| Error::invalid(path, place, what);
+    let reader = ktx2::Reader::new(&bytes[..]).map_err(|error| broken("KTX2".into(), error.to_string()))?;
+    let header = reader.header();
+    check_size(path, (header.pixel_width as usize, header.pixel_height as usize), (record.width, record.height))?;
+    let (format, texel_bytes) = match record.pixel {
+        PixelFormat::Rgb9e5 => (ktx2::Format::E5B9G9R9_UFLOAT_PACK32, 4),
+        _ => (ktx2::Format::R16G16B16A16_SFLOAT, 8),
+    };
+    if header.format != Some(format) {
+        return Err(broken("header".into(), format!("{:?}; the manifest says {:?}", header.format, record.pixel)));
+    }
+    let images = images(record);
+    if header.face_count != 6 || reader.levels().len() != images.len() {
+        let what = format!(
+            "{} faces and {} levels instead of 6 and {}",
+            header.face_count,
+            reader.levels().len(),
+            images.len()
+        );
+        return Err(broken("header".into(), what));
+    }
+    for (i, (level, (width, height))) in reader.levels().zip(images).enumerate() {
+        let place = || format!("level {i}");
+        let length = 6 * u64::from(width) * u64::from(height) * texel_bytes;
+        let decoder = ruzstd::decoding::StreamingDecoder::new(level.data);
+        let mut texels = Vec::new();
+        decoder
+            .map_err(std::io::Error::other)
+            // A byte more than it must have tells a level that is too long.
+            .and_then(|decoder| decoder.take(length + 1).read_to_end(&mut texels))
+            .map_err(|error| broken(place(), error.to_string()))?;
+        if texels.len() as u64 != length {
+            return Err(broken(place(), format!("{} bytes instead of {length}", texels.len())));
+        }
+        let is_finite = |half: &[u8]| f16::from_le_bytes([half[0], half[1]]).is_finite();
+        if record.pixel == PixelFormat::Half && !texels.chunks_exact(2).all(is_finite) {
+            return Err(broken(place(), "a value is not finite".into()));
         }
     }
     Ok(())
@@ -136,7 +232,7 @@ mod tests {
     use super::*;
     use crate::bake::ProbeStatistics;
     use crate::job::Job;
-    use crate::manifest::{FILE_NAME, FileFormat, FileRole, Influence, Layout, ProbeRecord, TexelSampling};
+    use crate::manifest::{FILE_NAME, FileRole, Influence, MipRecord, ProbeRecord, ShRecord, TexelSampling};
     use crate::scene::SplatEncoding;
     use crate::scene::bounds::Bounds;
 
@@ -156,9 +252,12 @@ mod tests {
             layout: Layout::Strip,
             width: 4,
             height: 24,
-            pixel: Pixel::Half,
+            pixel: PixelFormat::Half,
             texel_sampling: TexelSampling::Center,
             channels: ["B", "G", "R"].map(String::from).into(),
+            face: None,
+            mips: Vec::new(),
+            max_distance: None,
             bytes,
             blake3,
         };
@@ -170,6 +269,7 @@ mod tests {
             proxy: Bounds { min: DVec3::NEG_ONE, max: DVec3::ONE },
             priority: 0,
             files: vec![record],
+            sh: ShRecord { degree: 2, basis: ShRecord::BASIS.into(), coefficients: vec![[0.0; 3]; 9], windowed: None },
             statistics: ProbeStatistics { mean_coverage: 1.0, distance: None, rays: 96 },
         };
         let path = folder.join(FILE_NAME);
@@ -191,8 +291,8 @@ mod tests {
     #[test]
     fn every_difference_from_the_manifest_is_found() {
         type Fault = (&'static str, fn(&mut FileRecord));
-        let faults: [Fault; 8] = [
-            ("channel B is F16; the manifest says Float", |record| record.pixel = Pixel::Float),
+        let faults: [Fault; 13] = [
+            ("channel B is F16; the manifest says Float", |record| record.pixel = PixelFormat::Float),
             ("cannot be read", |record| record.path = "absent.exr".into()),
             ("does not stay in the manifest's folder", |record| record.path = "../radiance.exr".into()),
             ("does not stay in the manifest's folder", |record| record.path = "/radiance.exr".into()),
@@ -200,6 +300,13 @@ mod tests {
             ("BLAKE3 is", |record| record.blake3 = "0".repeat(64)),
             ("4 x 24 pixels; the manifest says 8 x 48", |record| (record.width, record.height) = (8, 48)),
             ("channels B G R; the manifest says A B G R", |record| record.channels.insert(0, "A".into())),
+            ("4 x 24 pixels are not square", |record| record.layout = Layout::Cube),
+            ("1 parts instead of 2", |record| {
+                record.mips = vec![MipRecord { roughness: 0.0, width: 4, height: 24 }; 2]
+            }),
+            ("the first mip is not", |record| record.mips = vec![MipRecord { roughness: 0.0, width: 2, height: 12 }]),
+            ("radiance.exr: image", |record| record.format = FileFormat::Png),
+            ("radiance.exr: KTX2", |record| record.format = FileFormat::Ktx2),
         ];
         for (expected, change) in faults {
             let found = problems(0.5, change);

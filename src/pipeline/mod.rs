@@ -1,5 +1,6 @@
 //! The whole bake, top to bottom.
 
+mod files;
 mod output;
 
 use std::collections::BTreeMap;
@@ -11,10 +12,10 @@ use glam::{DVec3, Vec3};
 use serde::Serialize;
 
 use self::output::Output;
-use crate::bake::{self, BakeSettings, Progress};
+use crate::bake::{self, BakeSettings, Calibration, Progress};
 use crate::bvh::Bvh;
 use crate::ingest::{self, SceneReport};
-use crate::job::{Job, Order, Placement, Surface, Tracer};
+use crate::job::{Job, Order, OutputKind, Placement, Surface, Tracer};
 use crate::manifest::{self, InputRecord, Manifest};
 use crate::place::{self, Probe};
 use crate::scene::{Bounds, LinearRgb, Scene};
@@ -87,10 +88,21 @@ fn bake_on_these_threads(job: &Job, progress: &dyn Progress, cancel: &AtomicBool
     };
     let tracer = tracer(job, order, &scene, &bvh, &*surfaces);
     let output = Output::begin(job, probes.len())?;
-    let settings = BakeSettings { face_size: job.face_size, samples: job.samples, distance: job.distance };
+    let (face_size, samples) = (job.face_size, job.samples);
+    let distance = job.distance || job.outputs.contains(&OutputKind::Moments);
+    let settings = BakeSettings { face_size, samples, distance, edge_texels: false };
     bake::bake_probes(&*tracer, &scene, &probes, &settings, progress, cancel, |index, cubemap, statistics| {
-        output.write_probe(index, &probes[index], &cubemap, statistics)
+        output.write_probe(index, &probes[index], cubemap, statistics)
     })?;
+    let mut rays_per_probe = settings.rays_per_probe();
+    if job.outputs.contains(&OutputKind::Envmap) {
+        let samples = samples.next_multiple_of(2);
+        let settings = BakeSettings { face_size, samples, distance: false, edge_texels: true };
+        bake::bake_probes(&*tracer, &scene, &probes, &settings, progress, cancel, |index, cubemap, _| {
+            output.write_envmap(index, &probes[index], cubemap)
+        })?;
+        rays_per_probe += settings.rays_per_probe();
+    }
     if cancel.load(Ordering::Relaxed) {
         return Err(Error::Cancelled);
     }
@@ -100,7 +112,7 @@ fn bake_on_these_threads(job: &Job, progress: &dyn Progress, cancel: &AtomicBool
         manifest: published.manifest,
         scene: scene_report,
         probes: probes.len(),
-        rays: probes.len() as u64 * settings.rays_per_probe(),
+        rays: probes.len() as u64 * rays_per_probe,
         clamped_values: published.clamped_values,
         seconds: Seconds {
             load: (loaded - begun).as_secs_f64(),
@@ -138,6 +150,9 @@ fn tracer<'a>(
     bvh: &'a Bvh,
     surfaces: &'a dyn Surfaces,
 ) -> Box<dyn TileTracer + 'a> {
+    if job.calibration {
+        return Box::new(Calibration);
+    }
     let settings = TraceSettings {
         order,
         sh_direction: job.sh_direction,

@@ -4,13 +4,11 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
+use super::files::ProbeFiles;
 use crate::bake::{Cubemap, ProbeStatistics};
-use crate::encode::exr::{DISTANCE_CHANNEL, RADIANCE_FILE, write_cubemap};
 use crate::encode::preview::{self, ContactSheet, write_png};
-use crate::job::{Job, Pixel};
-use crate::manifest::{
-    self, FileFormat, FileRecord, FileRole, Influence, Layout, Manifest, ProbeRecord, TexelSampling,
-};
+use crate::job::Job;
+use crate::manifest::{self, FileRecord, Influence, Manifest, ProbeRecord, ShRecord};
 use crate::place::Probe;
 use crate::scene::Bounds;
 use crate::{Error, Result};
@@ -19,11 +17,11 @@ use crate::{Error, Result};
 pub const PREVIEW_FILE: &str = "preview.png";
 
 /// A bake's files on their way to the output folder.
-pub(super) struct Output {
+pub(super) struct Output<'a> {
+    job: &'a Job,
     folder: PathBuf,
     /// Inside `folder`, so that moving out of it is a rename; removes itself.
     staging: tempfile::TempDir,
-    pixel: Pixel,
     written: Mutex<Written>,
 }
 
@@ -41,9 +39,9 @@ pub(super) struct Published {
     pub clamped_values: usize,
 }
 
-impl Output {
+impl<'a> Output<'a> {
     /// Makes the job's output folder and room in it for `probes` probes.
-    pub fn begin(job: &Job, probes: usize) -> Result<Self> {
+    pub fn begin(job: &'a Job, probes: usize) -> Result<Self> {
         let folder =
             job.output.clone().ok_or_else(|| Error::request("-o", "give the folder to write the probes to"))?;
         let make = || {
@@ -57,7 +55,7 @@ impl Output {
             preview: ContactSheet::new(probes as u32, job.face_size),
             clamped_values: 0,
         };
-        Ok(Self { folder, staging, pixel: job.pixel, written: Mutex::new(written) })
+        Ok(Self { job, folder, staging, written: Mutex::new(written) })
     }
 
     /// Writes a probe's files and remembers what the manifest will say. Called on many threads at once.
@@ -65,22 +63,46 @@ impl Output {
         &self,
         index: usize,
         probe: &Probe,
-        cubemap: &Cubemap,
+        cubemap: Cubemap,
         statistics: ProbeStatistics,
     ) -> Result<()> {
+        let mut cubemap = self.exposed(cubemap);
         let folder = self.staging.path().join(&probe.id);
         std::fs::create_dir(&folder).map_err(|source| Error::write(&folder, source))?;
-        let path = folder.join(RADIANCE_FILE);
-        let clamped = write_cubemap(&path, cubemap, self.pixel)?;
-        write_png(&folder.join(PREVIEW_FILE), &preview::cross(cubemap))?;
-        let record = probe_record(probe, vec![radiance_record(&path, probe, cubemap, self.pixel)?], statistics);
+        let mut files = ProbeFiles::new(self.job, &folder, probe);
+        let sh = files.write(&mut cubemap)?;
+        write_png(&folder.join(PREVIEW_FILE), &preview::cross(&cubemap))?;
+        let ProbeFiles { records, clamped_values, .. } = files;
         // A panic on another thread ends the bake by itself.
         if let Ok(mut written) = self.written.lock() {
-            written.records[index] = Some(record);
-            written.preview.draw(index as u32, cubemap);
-            written.clamped_values += clamped;
+            written.records[index] = Some(probe_record(probe, records, sh, statistics));
+            written.preview.draw(index as u32, &cubemap);
+            written.clamped_values += clamped_values;
         }
         Ok(())
+    }
+
+    /// Writes the `envmap` of a probe whose other files are written. Called on many threads at once.
+    pub fn write_envmap(&self, index: usize, probe: &Probe, cubemap: Cubemap) -> Result<()> {
+        let folder = self.staging.path().join(&probe.id);
+        let mut files = ProbeFiles::new(self.job, &folder, probe);
+        files.write_envmap(&self.exposed(cubemap))?;
+        let ProbeFiles { records, clamped_values, .. } = files;
+        if let Ok(mut written) = self.written.lock() {
+            written.records[index].iter_mut().for_each(|record| record.files.extend_from_slice(&records));
+            written.clamped_values += clamped_values;
+        }
+        Ok(())
+    }
+
+    fn exposed(&self, mut cubemap: Cubemap) -> Cubemap {
+        if self.job.exposure != 0.0 {
+            let factor = self.job.exposure.exp2();
+            for [rgb @ .., _] in &mut cubemap.texels {
+                *rgb = rgb.map(|value| value * factor);
+            }
+        }
+        cubemap
     }
 
     /// Moves everything to its final place, the manifest last.
@@ -132,25 +154,7 @@ fn rename(from: &Path, to: &Path) -> Result<()> {
     rename().map_err(|source| Error::write(to, source))
 }
 
-fn radiance_record(path: &Path, probe: &Probe, cubemap: &Cubemap, pixel: Pixel) -> Result<FileRecord> {
-    let (bytes, blake3) = manifest::digest(path)?;
-    let distance = cubemap.distance.as_ref().map(|_| DISTANCE_CHANNEL);
-    Ok(FileRecord {
-        path: format!("{}/{RADIANCE_FILE}", probe.id),
-        role: FileRole::Radiance,
-        format: FileFormat::Exr,
-        layout: Layout::Strip,
-        width: cubemap.face_size,
-        height: 6 * cubemap.face_size,
-        pixel,
-        texel_sampling: TexelSampling::Center,
-        channels: ["A", "B", "G", "R"].into_iter().chain(distance).map(String::from).collect(),
-        bytes,
-        blake3,
-    })
-}
-
-fn probe_record(probe: &Probe, files: Vec<FileRecord>, statistics: ProbeStatistics) -> ProbeRecord {
+fn probe_record(probe: &Probe, files: Vec<FileRecord>, sh: ShRecord, statistics: ProbeStatistics) -> ProbeRecord {
     let Bounds { min, max } = probe.influence;
     ProbeRecord {
         id: probe.id.clone(),
@@ -159,6 +163,7 @@ fn probe_record(probe: &Probe, files: Vec<FileRecord>, statistics: ProbeStatisti
         proxy: probe.proxy,
         priority: 0,
         files,
+        sh,
         statistics,
     }
 }

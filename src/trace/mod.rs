@@ -80,10 +80,10 @@ pub struct Tile {
     pub face: Face,
     /// Texels along an edge of the whole face.
     pub face_size: u32,
-    /// First column, counted from the left edge.
-    pub x: u32,
-    /// First row, counted from the top edge.
-    pub y: u32,
+    /// First column, counted from the left edge; below 0 beyond it, on the face's plane.
+    pub x: i32,
+    /// First row, counted from the top edge; below 0 beyond it, on the face's plane.
+    pub y: i32,
     /// Columns, at most [`Tile::EDGE`].
     pub width: u32,
     /// Rows, at most [`Tile::EDGE`].
@@ -101,7 +101,8 @@ impl Tile {
 
     /// Unit direction through the centre of a texel, counted from the tile's corner.
     pub fn direction(&self, x: u32, y: u32) -> DVec3 {
-        self.face.direction(self.face_size, f64::from(self.x + x) + 0.5, f64::from(self.y + y) + 0.5).normalize()
+        let centre = [(self.x, x), (self.y, y)].map(|(first, i)| f64::from(first) + f64::from(i) + 0.5);
+        self.face.direction(self.face_size, centre[0], centre[1]).normalize()
     }
 
     /// Unit directions through the texels' centres, row by row.

@@ -1,4 +1,5 @@
 //! Runs the command line tool and looks at what it left.
+#![allow(dead_code)] // each test binary uses its part
 
 use std::path::Path;
 use std::process::{Command, Output};

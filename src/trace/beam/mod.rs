@@ -72,7 +72,7 @@ impl<const N: usize> WithSimd for TraceTile<'_, '_, N> {
         for y in (0..tile.height).step_by(part_edge as usize) {
             for x in (0..tile.width).step_by(part_edge as usize) {
                 let (width, height) = (part_edge.min(tile.width - x), part_edge.min(tile.height - y));
-                let part = Tile { x: tile.x + x, y: tile.y + y, width, height, ..*tile };
+                let part = Tile { x: tile.x + x as i32, y: tile.y + y as i32, width, height, ..*tile };
                 let blocks = tracer.blocks::<S, N>(simd, origin, &part);
                 let row_length = tile.width as usize;
                 let first = y as usize * row_length + x as usize;

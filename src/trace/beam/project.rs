@@ -257,7 +257,7 @@ impl Projection {
         }
         let view = if nearest > 0.0 {
             let half = f64::from(self.tile.face_size) / 2.0;
-            let ends = |axis: usize, first: u32| {
+            let ends = |axis: usize, first: i32| {
                 let values = in_face.map(|corner| half + half * corner[axis] / corner.z - f64::from(first));
                 [values[0].min(values[1]).min(values[2]), values[0].max(values[1]).max(values[2])]
             };
