@@ -56,6 +56,8 @@ pub struct AdaptiveSettings {
 pub struct Adaptive {
     /// The probes, by level and place.
     pub probes: Vec<Probe>,
+    /// Per probe: the mean relative error expected where it has the greatest weight.
+    pub estimated_errors: Vec<f64>,
     /// What the manifest says about them.
     pub record: PlacementRecord,
     /// The free cells of the levels that were looked at.
@@ -70,8 +72,6 @@ pub struct Adaptive {
 pub struct PlacementRecord {
     /// The levels with their triangulations, from the lowest up.
     pub levels: Vec<Level>,
-    /// Per probe: the mean relative error expected where it has the greatest weight.
-    pub estimated_errors: Vec<f64>,
     /// Places that were considered for a probe.
     pub sites: usize,
     /// Of those, how many were moved out of matter.
@@ -163,8 +163,9 @@ pub fn adaptive(sight: &Sight, settings: &AdaptiveSettings, cancel: &AtomicBool)
         search: (searched - traced).as_secs_f64(),
         report: (begun.elapsed() - searched).as_secs_f64(),
     };
-    let Placed { probes, record, .. } = placed;
-    Ok(Adaptive { probes, record, plans: levels.into_iter().map(|level| level.plan).collect(), seconds })
+    let Placed { probes, estimated_errors, record, .. } = placed;
+    let plans = levels.into_iter().map(|level| level.plan).collect();
+    Ok(Adaptive { probes, estimated_errors, record, plans, seconds })
 }
 
 /// Free space and sites of every level.
@@ -230,6 +231,7 @@ struct Placed<'a> {
     /// The candidates that became probes, in the probes' order.
     chosen: Vec<usize>,
     probes: Vec<Probe>,
+    estimated_errors: Vec<f64>,
     record: PlacementRecord,
 }
 
@@ -272,7 +274,6 @@ impl<'a> Placed<'a> {
             reason: Reason::Predicted,
         }));
         let record = PlacementRecord {
-            estimated_errors: sums.iter().map(|&(sum, count)| if count > 0 { sum / f64::from(count) } else { 0.0 }).collect(),
             sites: candidates.len(),
             relocated: sites.iter().map(|level| level.relocated).sum(),
             dropped,
@@ -280,7 +281,9 @@ impl<'a> Placed<'a> {
             checks: Checks::default(),
             held_out: None,
         };
-        Self { probes: probes.collect(), candidates, chosen: indices, record }
+        // A probe that is nowhere the heaviest adds to others only.
+        let estimated_errors = sums.iter().map(|&(sum, count)| sum / f64::from(count.max(1))).collect();
+        Self { probes: probes.collect(), estimated_errors, candidates, chosen: indices, record }
     }
 
     /// Counts faults by tracing.

@@ -29,6 +29,9 @@ const RAYS: usize = 32;
 /// A point with a larger share of escaping rays has nothing around it.
 const ESCAPING: f64 = 0.8;
 
+/// A floor is there if no more than one of so many rays downward escapes: beside a building's outer wall half of them do.
+const ESCAPING_DOWN: usize = 4;
+
 /// Why no probe stands at a place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "camelCase")]
@@ -95,7 +98,7 @@ impl Space<'_> {
         }
         if escaping as f64 > ESCAPING * RAYS as f64 {
             Err(Reason::Outside)
-        } else if 2 * escaping_down > down {
+        } else if ESCAPING_DOWN * escaping_down > down || self.is_open(point, point + DVec3::NEG_Y * reach, scratch) {
             Err(Reason::NoFloor)
         } else {
             Ok(())

@@ -176,7 +176,7 @@ mod tests {
         Level {
             height: Height { y, floor, ceiling },
             vertices: vertices
-                .map(|(position, probe)| Vertex { position, blend: vec![Share { probe, weight: 1.0 }] })
+                .map(|(position, probe)| Vertex { position, blend: vec![Share { probe, weight: 1.0 }], is_probe: true })
                 .collect(),
             triangles: vec![[0, 1, 2]],
             neighbours: vec![[None; 3]],

@@ -12,7 +12,10 @@ use crate::scene::Bounds;
 use crate::trace::ray::RayScratch;
 
 /// Distance between the points of a column, in metres.
-const STEP: f64 = 0.25;
+const STEP: f64 = 0.1;
+
+/// How far a column reaches beyond the bounds, in metres: robust bounds may end on the floor itself.
+const BEYOND: f64 = 0.5;
 
 /// Most points of a column; higher bounds get longer steps.
 const MAX_STEPS: f64 = 512.0;
@@ -94,8 +97,7 @@ pub fn storeys(space: &Space, lattice: &Lattice, bounds: &Bounds) -> Vec<[f64; 2
 
 /// Runs of open height above something in one column.
 fn column(space: &Space, at: DVec3, bounds: &Bounds, scratch: &mut RayScratch) -> Vec<[f64; 2]> {
-    // Robust bounds may end on the floor itself.
-    let (low, high) = (bounds.min.y - 2.0 * STEP, bounds.max.y + 2.0 * STEP);
+    let (low, high) = (bounds.min.y - BEYOND, bounds.max.y + BEYOND);
     let step = ((high - low) / MAX_STEPS).max(STEP);
     let steps = ((high - low) / step) as usize;
     let mut runs = Vec::new();

@@ -13,10 +13,11 @@ use crate::trace::{Face, Radiance, Tile, TileTracer};
 /// Texels along an edge of a face.
 pub const FACE_SIZE: u32 = 16;
 
-/// Perceptual roughnesses that predictions are judged at, beside diffuse irradiance; and the faces' sizes there, which
-/// hold what is left of detail.
+/// Perceptual roughnesses that predictions are judged at, beside diffuse irradiance. The lobe of the first is a tenth of
+/// a texel wide, so that the cubemap itself stands for it; the others' leave no more detail than small faces hold, of these
+/// sizes.
 pub const ROUGHNESS: [f64; 3] = [0.1, 0.3, 0.6];
-const SIZES: [u32; 3] = [16, 16, 8];
+const SIZES: [u32; 2] = [8, 4];
 
 /// Directions in which reflections are compared, and normals for irradiance.
 const DIRECTIONS: usize = 48;
@@ -63,7 +64,8 @@ impl Signal {
         let cubemap = RgbCubemap::new(FACE_SIZE, texels)?;
         let diffuse = ShRadiance::project(&cubemap, 2);
         let source = Prefilter::new(cubemap);
-        let specular = [0, 1, 2].map(|i| Sampler::new(&source.specular(ROUGHNESS[i], SIZES[i])));
+        let [glossy, rough] = [0, 1].map(|i| Sampler::new(&source.specular(ROUGHNESS[i + 1], SIZES[i])));
+        let specular = [source.mirror().clone(), glossy, rough];
         Ok(Self { position, proxy: proxy::fit(position, &seen), specular, diffuse })
     }
 

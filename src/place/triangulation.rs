@@ -29,13 +29,15 @@ pub struct Share {
 
 /// A corner of triangles.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, rename_all = "camelCase")]
 pub struct Vertex {
     /// x and z, in metres.
     #[schemars(with = "[f64; 2]")]
     pub position: DVec2,
     /// The probes that are blended here: of a probe's own vertex the probe alone.
     pub blend: Vec<Share>,
+    /// Whether a probe stands here.
+    pub is_probe: bool,
 }
 
 /// The probes of one height, and how they are blended between.
@@ -192,7 +194,8 @@ fn extract(triangles: &Triangles, inside: &[bool], height: Height) -> Level {
             vertex_of[root] = vertices.len() as u32;
             let site = *faces[corner / 3].vertices()[corner % 3].data();
             let blend = site.probe.map(|probe| Share { probe, weight: 1.0 });
-            vertices.push(Vertex { position: site.position, blend: blend.into_iter().collect() });
+            let (position, is_probe) = (site.position, blend.is_some());
+            vertices.push(Vertex { position, blend: blend.into_iter().collect(), is_probe });
         }
         vertex_of[corner] = vertex_of[root];
     }
