@@ -284,6 +284,7 @@ mod tests {
             id: format!("probe_{i:03}"),
             position: DVec3::new(100.0 + i as f64, 0.0, 0.0),
             influence: Bounds { min: DVec3::ZERO, max: DVec3::ONE },
+            proxy: Bounds { min: DVec3::ZERO, max: DVec3::ONE },
             blend: [0.0; 6],
         };
         (0..count).map(probe).collect()

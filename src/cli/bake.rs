@@ -124,6 +124,24 @@ pub struct Bake {
     /// Probe position in metres, instead of a grid; repeat it for more.
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_numbers::<3>, allow_hyphen_values = true, help_heading = "Placement")]
     probe: Vec<[f64; 3]>,
+    /// Place probes where the blend of the others fails to predict what is there [default: false].
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL", conflicts_with_all = ["grid", "probe"], help_heading = "Placement")]
+    adaptive: Option<bool>,
+    /// With --adaptive: heights in metres at which probes stand [default: found from floors and ceilings].
+    #[arg(long, value_name = "Y,Y,...", value_delimiter = ',', allow_hyphen_values = true, help_heading = "Placement")]
+    levels: Vec<f64>,
+    /// With --adaptive: relative error of predicted reflections that no place needs to be below [default: 0.1].
+    #[arg(long, value_name = "ERROR", help_heading = "Placement")]
+    error: Option<f64>,
+    /// With --adaptive: most probes [default: 64].
+    #[arg(long, value_name = "N", help_heading = "Placement")]
+    max_probes: Option<u32>,
+    /// With --adaptive: add no probe after so many seconds; the result then depends on the machine.
+    #[arg(long, value_name = "SECONDS", help_heading = "Placement")]
+    time: Option<f64>,
+    /// With --adaptive: positions, not used otherwise, at which the error is measured [default: 100].
+    #[arg(long, value_name = "N", help_heading = "Placement")]
+    held_out: Option<u32>,
     /// Fraction of the spacing by which neighbouring influence boxes overlap [default: 0.1].
     #[arg(long, value_name = "FRACTION", help_heading = "Placement")]
     overlap: Option<f64>,
@@ -180,7 +198,7 @@ impl Bake {
     }
 
     /// The job file's settings, or the defaults, overridden by the flags.
-    fn into_job(self) -> Result<Job> {
+    pub fn into_job(self) -> Result<Job> {
         let mut job = self.job.map_or_else(|| Ok(Job::default()), |path| Job::from_file(&path))?;
 
         if !self.splats.is_empty() {
@@ -203,18 +221,32 @@ impl Bake {
         // A flag for one kind of placement replaces the other kind in the job file.
         if self.grid.is_some() {
             job.placement.probes.clear();
+            job.placement.adaptive = false;
             job.placement.grid = self.grid;
         }
         if !self.probe.is_empty() {
             job.placement.grid = None;
+            job.placement.adaptive = false;
             job.placement.probes = self.probe;
         }
+        if self.adaptive == Some(true) {
+            job.placement.grid = None;
+            job.placement.probes.clear();
+        }
+        if !self.levels.is_empty() {
+            job.placement.levels = self.levels;
+        }
+        job.placement.time = self.time.or(job.placement.time);
         job.placement.bounds = self.bounds.or(job.placement.bounds);
         job.output = self.output.or(job.output);
         job.stats = self.stats.or(job.stats);
         job.order = self.order.or(job.order);
 
         set(&mut job.placement.overlap, self.overlap);
+        set(&mut job.placement.adaptive, self.adaptive);
+        set(&mut job.placement.error, self.error);
+        set(&mut job.placement.max_probes, self.max_probes);
+        set(&mut job.placement.held_out, self.held_out);
         set(&mut job.background, self.background.map(|rgb| rgb.map(|value| value as f32)));
         set(&mut job.pixel, self.pixel);
         set(&mut job.distance, self.distance);
@@ -275,7 +307,7 @@ fn parse_grid(text: &str) -> std::result::Result<[u32; 3], String> {
 }
 
 /// A flag that Ctrl-C (or a request to terminate) sets, so that the bake ends cleanly; a second one ends the process.
-fn cancelled_by_signal() -> &'static AtomicBool {
+pub fn cancelled_by_signal() -> &'static AtomicBool {
     static CANCELLED: AtomicBool = AtomicBool::new(false);
     let handler = || {
         if CANCELLED.swap(true, Ordering::Relaxed) {
@@ -331,6 +363,18 @@ mod tests {
             "placement": {"bounds": [-1, -2, -3, 1, 2, 3], "grid": [2, 3, 4], "overlap": 0.5}
         }"#;
         assert_eq!(job(&line).unwrap(), serde_json::from_str(expected).unwrap());
+    }
+
+    #[test]
+    fn adaptive_placement_replaces_the_job_files_probes_and_every_field_of_it_has_a_flag() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("job.json");
+        std::fs::write(&path, r#"{"placement": {"grid": [1, 2, 3], "maxProbes": 9}}"#).unwrap();
+        let line = "--adaptive --levels -1.5,2 --error 0.25 --max-probes 7 --time 1.5 --held-out 3";
+        let line: Vec<&str> = [path.to_str().unwrap()].into_iter().chain(line.split_whitespace()).collect();
+        let expected = r#"{"placement": {"adaptive": true, "levels": [-1.5, 2], "error": 0.25, "maxProbes": 7, "time": 1.5, "heldOut": 3}}"#;
+        assert_eq!(job(&line).unwrap(), serde_json::from_str(expected).unwrap());
+        assert!(!job(&["--adaptive=false", "--probe", "0,0,0"]).unwrap().placement.adaptive);
     }
 
     #[test]

@@ -3,6 +3,7 @@
 mod bake;
 mod compare;
 mod inspect;
+mod place;
 mod progress;
 mod schema;
 mod verify;
@@ -25,6 +26,7 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Bake(Box<bake::Bake>),
+    Place(Box<place::Place>),
     Inspect(inspect::Inspect),
     Verify(verify::Verify),
     Compare(compare::Compare),
@@ -36,6 +38,7 @@ impl Cli {
     pub fn run(self) -> Result<String> {
         match self.command {
             Command::Bake(command) => command.run(),
+            Command::Place(command) => command.run(),
             Command::Inspect(command) => command.run(),
             Command::Verify(command) => command.run(),
             Command::Compare(command) => command.run(),

@@ -4,6 +4,7 @@ pub mod exr;
 pub mod file;
 pub mod ktx2;
 pub mod latlong;
+pub mod plan;
 pub mod preview;
 pub mod rgbd;
 pub mod slots;

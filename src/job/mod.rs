@@ -100,12 +100,12 @@ pub enum ProgressStyle {
     None,
 }
 
-/// Where probes stand: a grid in a box, or a list.
+/// Where probes stand: a grid in a box, a list, or where prediction fails.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, rename_all = "camelCase", default)]
 pub struct Placement {
-    /// Box that the probes serve, as x0, y0, z0, x1, y1, z1 in metres, world space. Default: for a grid, the box that
-    /// most of the scene fills, without outliers; for a list, 5 m around each probe.
+    /// Box that the probes serve, as x0, y0, z0, x1, y1, z1 in metres, world space. Default: for a grid and for adaptive
+    /// placement, the box that most of the scene fills, without outliers; for a list, 5 m around each probe.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bounds: Option<[f64; 6]>,
     /// How many probes stand along x, y and z, each in the middle of its cell of the bounds. Default: none.
@@ -117,11 +117,44 @@ pub struct Placement {
     /// Fraction, 0 to 1, of the spacing by which neighbouring influence boxes overlap. Default: 0.1.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub overlap: f64,
+    /// Whether probes are placed where the blend of the others fails to predict what is there. Default: false.
+    #[serde(skip_serializing_if = "is_default")]
+    pub adaptive: bool,
+    /// Adaptive placement: heights in metres at which probes stand. Default: found from floors and ceilings.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[schemars(length(max = 64))]
+    pub levels: Vec<f64>,
+    /// Adaptive placement: relative error of predicted reflections, 0 or more, that no place needs to be below.
+    /// Default: 0.1.
+    #[schemars(range(min = 0.0))]
+    pub error: f64,
+    /// Adaptive placement: most probes. Default: 64.
+    #[schemars(range(min = 1, max = 1_000_000))]
+    pub max_probes: u32,
+    /// Adaptive placement: seconds after which no probe is added any more. The result then depends on how fast the machine
+    /// is. Default: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub time: Option<f64>,
+    /// Adaptive placement: positions, not used otherwise, at which the error is measured; 0 measures none. Default: 100.
+    #[schemars(range(max = 10_000))]
+    pub held_out: u32,
 }
 
 impl Default for Placement {
     fn default() -> Self {
-        Self { bounds: None, grid: None, probes: Vec::new(), overlap: 0.1 }
+        Self {
+            bounds: None,
+            grid: None,
+            probes: Vec::new(),
+            overlap: 0.1,
+            adaptive: false,
+            levels: Vec::new(),
+            error: 0.1,
+            max_probes: 64,
+            time: None,
+            held_out: 100,
+        }
     }
 }
 
@@ -139,7 +172,7 @@ pub struct Job {
     /// Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub output: Option<PathBuf>,
-    /// Where probes stand. Default: nowhere; a grid or a list is needed.
+    /// Where probes stand. Default: nowhere; a grid, a list or adaptive placement is needed.
     pub placement: Placement,
     /// Edge of a cube face, in pixels. Default: 256.
     #[schemars(range(min = 1, max = 8192))]

@@ -31,6 +31,15 @@ const MAX_RAYS: u128 = 1_000_000_000_000;
 /// Coordinates beyond this, in metres, are not a scene on or near the Earth.
 const MAX_COORDINATE: f64 = 1e9;
 
+/// Most heights of probes that can be asked for.
+const MAX_LEVELS: usize = 64;
+
+/// Longest time for a placement, in seconds: a month.
+const MAX_TIME: f64 = 2.6e6;
+
+/// Most positions that a placement's error is measured at; each costs as much as a place for a probe.
+const MAX_HELD_OUT: u32 = 10_000;
+
 /// More threads than any machine in reach has cores.
 const MAX_THREADS: usize = 1024;
 
@@ -117,17 +126,32 @@ impl Job {
 
 impl Placement {
     fn validate(&self) -> Result<()> {
-        match (self.grid, self.bounds) {
-            (Some(_), _) if !self.probes.is_empty() => {
-                return Err(Error::request("--grid", "give either a grid or --probe positions, not both"));
-            }
-            (Some(grid), _) => {
-                require(!grid.contains(&0), "--grid", || format!("{grid:?} needs at least 1 probe along each axis"))?
-            }
-            (None, _) => {
-                require(!self.probes.is_empty(), "--grid", || "no probes: give --grid or --probe positions".into())?
-            }
+        let kinds = [self.grid.is_some(), !self.probes.is_empty(), self.adaptive];
+        match kinds.into_iter().filter(|given| *given).count() {
+            0 => return Err(Error::request("--grid", "no probes: give --grid, --probe positions or --adaptive")),
+            1 => {}
+            _ => return Err(Error::request("--grid", "give only one of a grid, --probe positions and --adaptive")),
         }
+        if let Some(grid) = self.grid {
+            require(!grid.contains(&0), "--grid", || format!("{grid:?} needs at least 1 probe along each axis"))?;
+        }
+        require(self.levels.is_empty() || self.adaptive, "--levels", || "belongs to --adaptive".into())?;
+        require(self.levels.len() <= MAX_LEVELS, "--levels", || {
+            format!("{} heights are more than {MAX_LEVELS}", self.levels.len())
+        })?;
+        require_coordinates("--levels", &self.levels)?;
+        require(self.error.is_finite() && self.error >= 0.0, "--error", || {
+            format!("{} is not a relative error, 0 or more", self.error)
+        })?;
+        require((1..=MAX_PROBES as u32).contains(&self.max_probes), "--max-probes", || {
+            format!("{} is not between 1 and {MAX_PROBES} probes", self.max_probes)
+        })?;
+        require(self.time.is_none_or(|time| time > 0.0 && time <= MAX_TIME), "--time", || {
+            format!("{:?} is not a time in seconds above 0, at most {MAX_TIME}", self.time)
+        })?;
+        require(self.held_out <= MAX_HELD_OUT, "--held-out", || {
+            format!("{} positions are more than {MAX_HELD_OUT}", self.held_out)
+        })?;
         self.bounds.map_or(Ok(()), |corners| require_box("--bounds", corners))?;
         self.probes.iter().try_for_each(|probe| require_coordinates("--probe", probe))?;
         require((0.0..=1.0).contains(&self.overlap), "--overlap", || {
@@ -142,6 +166,7 @@ impl Placement {
     fn probe_count(&self) -> u64 {
         match self.grid {
             Some(grid) => grid.into_iter().map(u64::from).fold(1, u64::saturating_mul),
+            None if self.adaptive => u64::from(self.max_probes),
             None => self.probes.len() as u64,
         }
     }
@@ -226,9 +251,16 @@ mod tests {
         job
     }
 
+    fn adaptive(change: impl FnOnce(&mut Placement)) -> Placement {
+        let mut placement = Placement { adaptive: true, ..Placement::default() };
+        change(&mut placement);
+        placement
+    }
+
     #[test]
     fn a_job_with_inputs_output_and_probes_is_valid() {
         job_with(|_| ()).validate().unwrap();
+        job_with(|job| job.placement = adaptive(|it| it.levels = vec![1.5, -2.0])).validate().unwrap();
         job_with(|job| job.placement = Placement { probes: vec![[0.0; 3]], ..Placement::default() })
             .validate()
             .unwrap();
@@ -237,7 +269,7 @@ mod tests {
     #[test]
     fn every_fault_is_an_error_that_names_its_flag() {
         type Fault = (&'static str, fn(&mut Job));
-        let faults: [Fault; 35] = [
+        let faults: [Fault; 42] = [
             ("--splats", |job| job.splats.clear()),
             ("--splats", |job| job.splats[0].path = "".into()),
             ("--splat-transform", |job| job.splats[0].transform.rotation = [0.0; 4]),
@@ -256,6 +288,13 @@ mod tests {
             ("--bounds", |job| job.placement.bounds = Some([0.0, 0.0, f64::NAN, 4.0, 2.0, 4.0])),
             ("--probe", |job| job.placement = Placement { probes: vec![[0.0, 1e300, 0.0]], ..Placement::default() }),
             ("--overlap", |job| job.placement.overlap = -0.1),
+            ("--grid", |job| job.placement.adaptive = true),
+            ("--levels", |job| job.placement.levels = vec![1.0]),
+            ("--levels", |job| job.placement = adaptive(|it| it.levels = vec![f64::NAN])),
+            ("--error", |job| job.placement = adaptive(|it| it.error = -0.1)),
+            ("--max-probes", |job| job.placement = adaptive(|it| it.max_probes = 0)),
+            ("--time", |job| job.placement = adaptive(|it| it.time = Some(0.0))),
+            ("--held-out", |job| job.placement = adaptive(|it| it.held_out = u32::MAX)),
             ("--face-size", |job| job.face_size = 0),
             ("--face-size", |job| job.face_size = 8193),
             ("--samples", |job| job.samples = 0),

@@ -8,6 +8,8 @@ use serde::{Deserialize, Serialize};
 use super::FORMAT_VERSION;
 use crate::bake::ProbeStatistics;
 use crate::job::{Job, Pixel, Tonemapper};
+use crate::place::Network;
+use crate::place::adaptive::PlacementRecord;
 use crate::scene::SplatEncoding;
 use crate::scene::bounds::Bounds;
 
@@ -29,6 +31,10 @@ pub struct Manifest {
     pub settings: Job,
     /// The probes, in the order of their placement.
     pub probes: Vec<ProbeRecord>,
+    /// How the probes are blended and how well that predicts, where they were placed adaptively. Engines that cannot blend
+    /// by triangles use the influence boxes.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub placement: Option<PlacementRecord>,
 }
 
 impl Manifest {
@@ -42,7 +48,15 @@ impl Manifest {
             inputs,
             settings: job.result_settings(),
             probes,
+            placement: None,
         }
+    }
+
+    /// What [`interpolate`](crate::place::interpolate) needs of the manifest. Probes that were not placed adaptively have no
+    /// levels.
+    pub fn network(&self) -> Network {
+        let levels = self.placement.iter().flat_map(|placement| placement.levels.iter().cloned()).collect();
+        Network { probes: self.probes.iter().map(|probe| (probe.position.into(), probe.proxy)).collect(), levels }
     }
 }
 
@@ -144,6 +158,9 @@ pub struct ProbeRecord {
     pub sh: ShRecord,
     /// What the rays of the probe met.
     pub statistics: ProbeStatistics,
+    /// Of a probe that was placed adaptively: the mean relative error expected where it has the greatest weight.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub estimated_error: Option<f64>,
 }
 
 /// The box in which a probe is used, and how it fades toward each face.

@@ -2,6 +2,7 @@
 
 mod files;
 mod output;
+mod placement;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -12,13 +13,16 @@ use glam::{DVec3, Vec3};
 use serde::Serialize;
 
 use self::output::Output;
-use crate::bake::{self, BakeSettings, Calibration, ProbeStatistics, Progress};
+use self::placement::place_probes;
+use crate::bake::{self, BakeSettings, Calibration, ProbeStatistics, Progress, Silent};
 use crate::bvh::Bvh;
 use crate::ingest::{self, SceneReport};
-use crate::job::{Job, Order, OutputKind, Placement, Surface, Tracer};
+use crate::job::{Job, Order, OutputKind, Surface, Tracer};
 use crate::manifest::{self, InputRecord, Manifest};
-use crate::place::{self, Probe};
-use crate::scene::{Bounds, LinearRgb, Scene};
+use crate::place::adaptive::PlacementSeconds;
+use crate::place::free_space::Space;
+use crate::place::{Sight, signal};
+use crate::scene::{LinearRgb, Scene};
 use crate::shade::{PathSettings, PathSurfaces, UnlitSurfaces};
 use crate::trace::footprint;
 use crate::trace::{BeamTracer, Footprint, Level, RayTracer, ReferenceTracer, Surfaces, TileTracer, TraceSettings};
@@ -52,6 +56,11 @@ pub struct Seconds {
     pub load: f64,
     /// Building the tree.
     pub build: f64,
+    /// Placing the probes.
+    pub place: f64,
+    /// The stages of an adaptive placement.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub placement: Option<PlacementSeconds>,
     /// Tracing and encoding.
     pub bake: f64,
 }
@@ -65,40 +74,73 @@ pub struct Seconds {
 /// Fails with [`Error::Request`] when the job is wrong, the errors of [`ingest::load_scene`], [`Error::Write`], and
 /// [`Error::Cancelled`].
 pub fn bake(job: &Job, progress: &dyn Progress, cancel: &AtomicBool) -> Result<BakeReport> {
+    on_its_threads(job, || run(job, job, progress, cancel))
+}
+
+/// Places the probes of `job` and writes what a bake would, but no images: the probes' statistics and spherical harmonics are
+/// those of small cubemaps.
+///
+/// Fails as [`bake`] does.
+pub fn place(job: &Job, cancel: &AtomicBool) -> Result<BakeReport> {
+    let small = Job { face_size: signal::FACE_SIZE, samples: 1, outputs: Vec::new(), ..job.clone() };
+    on_its_threads(job, || run(job, &small, &Silent, cancel))
+}
+
+fn on_its_threads(job: &Job, run: impl FnOnce() -> Result<BakeReport> + Send) -> Result<BakeReport> {
     job.validate()?;
     let threads = rayon::ThreadPoolBuilder::new().num_threads(job.threads).build();
     let threads = threads.map_err(|error| Error::request("--threads", error.to_string()))?;
-    threads.install(|| bake_on_these_threads(job, progress, cancel))
+    threads.install(run)
 }
 
-fn bake_on_these_threads(job: &Job, progress: &dyn Progress, cancel: &AtomicBool) -> Result<BakeReport> {
+/// Places what `asked` says and bakes it as `job` says; the manifest echoes `asked`.
+fn run(asked: &Job, job: &Job, progress: &dyn Progress, cancel: &AtomicBool) -> Result<BakeReport> {
     let begun = Instant::now();
     let (mut scene, scene_report) = ingest::load_scene(&job.splats, &job.meshes)?;
     let order = job.order.or(scene_report.order()).unwrap_or_default();
     // As resolved, so that the manifest says what was done.
-    let job = &Job { order: Some(order), ..job.clone() };
+    let [asked, job] = [asked, job].map(|job| Job { order: Some(order), ..job.clone() });
+    let job = &job;
     scene.background = LinearRgb(Vec3::from(job.background));
-    let probes = place_probes(&job.placement, &scene_report)?;
     let inputs = input_records(&scene_report)?;
     let loaded = Instant::now();
     let bvh = Bvh::build(&mut scene);
     let built = Instant::now();
 
-    let rules = trace_settings(job, order);
     let ray_angle = footprint::ray_angle(job.face_size * job.samples);
-    let origins: Vec<DVec3> = probes.iter().map(|probe| probe.position - scene.origin).collect();
     let unlit = UnlitSurfaces::new(&scene.meshes).for_rays_of(ray_angle);
+    // Probes stand where the scene itself changes; light on its meshes comes after.
+    let rules = trace_settings(job, order, signal::FACE_SIZE);
+    let sight = Sight {
+        // What stands between two points does so whatever the order of blending.
+        space: Space {
+            tracer: RayTracer {
+                scene: &scene,
+                bvh: &bvh,
+                surfaces: &unlit,
+                settings: TraceSettings { order: Order::RayHitDistance, ..rules },
+            },
+        },
+        tiles: &BeamTracer { scene: &scene, bvh: &bvh, surfaces: &unlit, settings: rules, level: Level::best() },
+    };
+    let placed = place_probes(&job.placement, scene_report.robust_bounds(), &sight, cancel)?;
+    let probes = &placed.probes;
+    let placed_at = Instant::now();
+
+    let rules = trace_settings(job, order, job.face_size * job.samples);
+    let origins: Vec<DVec3> = probes.iter().map(|probe| probe.position - scene.origin).collect();
     let lit = (job.surface == Surface::Path).then(|| {
         let settings = PathSettings { noise: job.noise, max_paths: job.max_paths, ..PathSettings::default() };
         PathSurfaces::new(&scene, &bvh, rules, settings, &origins).for_rays_of(ray_angle)
     });
     let surfaces: &dyn Surfaces = lit.as_ref().map_or(&unlit, |lit| lit);
     let tracer = tracer(job, rules, &scene, &bvh, surfaces);
-    let output = Output::begin(job, probes.len())?;
+    let mut output = Output::begin(job, probes.len())?;
+    placed.picture.iter().try_for_each(|picture| output.write_plan(picture))?;
     let (face_size, samples) = (job.face_size, job.samples);
     let distance = job.distance || job.outputs.contains(&OutputKind::Moments);
     let settings = BakeSettings { face_size, samples, distance, edge_texels: false };
-    bake::bake_probes(&*tracer, &scene, &probes, &settings, progress, cancel, |index, cubemap, statistics| {
+    bake::bake_probes(&*tracer, &scene, probes, &settings, progress, cancel, |index, cubemap, statistics| {
         scene.meshes.check_textures()?;
         let surface_noise = lit.as_ref().and_then(|lit| lit.noise_of(origins[index]));
         let statistics = ProbeStatistics { surface_noise, ..statistics };
@@ -108,7 +150,7 @@ fn bake_on_these_threads(job: &Job, progress: &dyn Progress, cancel: &AtomicBool
     if job.outputs.contains(&OutputKind::Envmap) {
         let samples = samples.next_multiple_of(2);
         let settings = BakeSettings { face_size, samples, distance: false, edge_texels: true };
-        bake::bake_probes(&*tracer, &scene, &probes, &settings, progress, cancel, |index, cubemap, _| {
+        bake::bake_probes(&*tracer, &scene, probes, &settings, progress, cancel, |index, cubemap, _| {
             output.write_envmap(index, &probes[index], cubemap)
         })?;
         rays_per_probe += settings.rays_per_probe();
@@ -116,51 +158,28 @@ fn bake_on_these_threads(job: &Job, progress: &dyn Progress, cancel: &AtomicBool
     if cancel.load(Ordering::Relaxed) {
         return Err(Error::Cancelled);
     }
-    let published = output.publish(|records| Manifest::new(job, scene.encoding, inputs, records))?;
+    let (count, placement) = (probes.len(), placed.seconds);
+    let published =
+        output.publish(|records| placed.describe(Manifest::new(&asked, scene.encoding, inputs, records)))?;
 
     let report = BakeReport {
         manifest: published.manifest,
         scene: scene_report,
-        probes: probes.len(),
-        rays: probes.len() as u64 * rays_per_probe,
+        probes: count,
+        rays: count as u64 * rays_per_probe,
         clamped_values: published.clamped_values,
         seconds: Seconds {
             load: (loaded - begun).as_secs_f64(),
             build: (built - loaded).as_secs_f64(),
-            bake: built.elapsed().as_secs_f64(),
+            place: (placed_at - built).as_secs_f64(),
+            placement,
+            bake: placed_at.elapsed().as_secs_f64(),
         },
     };
     if let Some(path) = &job.stats {
         manifest::write_json(path, &report)?;
     }
     Ok(report)
-}
-
-fn place_probes(placement: &Placement, scene: &SceneReport) -> Result<Vec<Probe>> {
-    let bounds = placement
-        .bounds
-        .map(|[x0, y0, z0, x1, y1, z1]| Bounds { min: DVec3::new(x0, y0, z0), max: DVec3::new(x1, y1, z1) });
-    match placement.grid {
-        Some(grid) => {
-            let bounds = bounds.or_else(|| scene.robust_bounds());
-            let bounds = bounds.ok_or_else(|| Error::request("--bounds", "the scene is empty: give the grid's box"))?;
-            place::grid(bounds, grid, placement.overlap)
-        }
-        None => {
-            let positions: Vec<DVec3> = placement.probes.iter().copied().map(DVec3::from).collect();
-            place::list(&positions, bounds, placement.overlap)
-        }
-    }
-}
-
-fn trace_settings(job: &Job, order: Order) -> TraceSettings {
-    TraceSettings {
-        order,
-        sh_direction: job.sh_direction,
-        t_cutoff: job.t_cutoff,
-        t_near: job.t_near,
-        footprint: Footprint::new(job.footprint, job.face_size * job.samples),
-    }
 }
 
 fn tracer<'a>(
@@ -177,6 +196,17 @@ fn tracer<'a>(
         Tracer::Beam => Box::new(BeamTracer { scene, bvh, surfaces, settings, level: Level::best() }),
         Tracer::Ray => Box::new(RayTracer { scene, bvh, surfaces, settings }),
         Tracer::Reference => Box::new(ReferenceTracer { scene, surfaces, settings }),
+    }
+}
+
+/// The job's settings for faces of `rays` rays along an edge.
+fn trace_settings(job: &Job, order: Order, rays: u32) -> TraceSettings {
+    TraceSettings {
+        order,
+        sh_direction: job.sh_direction,
+        t_cutoff: job.t_cutoff,
+        t_near: job.t_near,
+        footprint: Footprint::new(job.footprint, rays),
     }
 }
 

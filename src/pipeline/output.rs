@@ -1,6 +1,7 @@
 //! A bake's files: made in a folder of their own, moved to their final place when all of them are done.
 
 use std::collections::BTreeSet;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
@@ -8,6 +9,8 @@ use glam::Vec3;
 
 use super::files::ProbeFiles;
 use crate::bake::{Cubemap, ProbeStatistics};
+use crate::encode::file::write_bytes_atomically;
+use crate::encode::plan::PlanPicture;
 use crate::encode::preview::{self, ContactSheet, write_png};
 use crate::encode::tonemap;
 use crate::job::{Job, Tonemapper};
@@ -18,6 +21,9 @@ use crate::{Error, Result};
 
 /// Name of a probe's picture in its folder, and of the contact sheet of all probes in the output folder.
 pub const PREVIEW_FILE: &str = "preview.png";
+
+/// Names of the plan's pictures in the output folder.
+const PLAN_FILES: [&str; 2] = ["plan.png", "plan.svg"];
 
 /// A bake's files on their way to the output folder.
 pub(super) struct Output<'a> {
@@ -32,6 +38,8 @@ struct Written {
     records: Vec<Option<ProbeRecord>>,
     preview: ContactSheet,
     clamped_values: usize,
+    /// Files in the output folder itself, beside the manifest.
+    beside: Vec<&'static str>,
 }
 
 /// What was moved to its final place.
@@ -57,6 +65,7 @@ impl<'a> Output<'a> {
             // Validation keeps the number of probes far below 2^32.
             preview: ContactSheet::new(probes as u32, job.face_size),
             clamped_values: 0,
+            beside: Vec::new(),
         };
         Ok(Self { job, folder, staging, written: Mutex::new(written) })
     }
@@ -71,10 +80,14 @@ impl<'a> Output<'a> {
     ) -> Result<()> {
         let mut cubemap = self.exposed(cubemap);
         let folder = self.staging.path().join(&probe.id);
-        std::fs::create_dir(&folder).map_err(|source| Error::write(&folder, source))?;
+        if self.has_images() {
+            std::fs::create_dir(&folder).map_err(|source| Error::write(&folder, source))?;
+        }
         let mut files = ProbeFiles::new(self.job, &folder, probe);
         let sh = files.write(&mut cubemap)?;
-        write_png(&folder.join(PREVIEW_FILE), &preview::cross(&cubemap))?;
+        if self.has_images() {
+            write_png(&folder.join(PREVIEW_FILE), &preview::cross(&cubemap))?;
+        }
         let ProbeFiles { records, clamped_values, .. } = files;
         // A panic on another thread ends the bake by itself.
         if let Ok(mut written) = self.written.lock() {
@@ -98,6 +111,19 @@ impl<'a> Output<'a> {
         Ok(())
     }
 
+    /// Writes the plan of a placement.
+    pub fn write_plan(&mut self, picture: &PlanPicture) -> Result<()> {
+        let staging = self.staging.path();
+        write_png(&staging.join(PLAN_FILES[0]), &picture.image())?;
+        write_bytes_atomically(&staging.join(PLAN_FILES[1]), |file| file.write_all(picture.svg().as_bytes()))?;
+        self.written.get_mut().unwrap_or_else(PoisonError::into_inner).beside.extend(PLAN_FILES);
+        Ok(())
+    }
+
+    fn has_images(&self) -> bool {
+        !self.job.outputs.is_empty()
+    }
+
     /// Light as it is written: through the inverse of the tone mapper to match, and exposed.
     fn exposed(&self, mut cubemap: Cubemap) -> Cubemap {
         let (tonemapper, factor) = (self.job.match_tonemapper, self.job.exposure.exp2());
@@ -111,15 +137,20 @@ impl<'a> Output<'a> {
 
     /// Moves everything to its final place, the manifest last.
     pub fn publish(self, manifest: impl FnOnce(Vec<ProbeRecord>) -> Manifest) -> Result<Published> {
-        let written = self.written.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let has_images = self.has_images();
+        let mut written = self.written.into_inner().unwrap_or_else(PoisonError::into_inner);
         let staging = self.staging.path();
-        write_png(&staging.join(PREVIEW_FILE), written.preview.image())?;
+        if has_images {
+            write_png(&staging.join(PREVIEW_FILE), written.preview.image())?;
+            written.beside.push(PREVIEW_FILE);
+        }
         let manifest = manifest(written.records.into_iter().flatten().collect());
         // Before anything is moved: a full disk shows here.
         manifest.write(&staging.join(manifest::FILE_NAME))?;
         let path = self.folder.join(manifest::FILE_NAME);
         let earlier = Manifest::read(&path).ok();
-        for file in probe_files(&manifest).chain([PREVIEW_FILE.into(), manifest::FILE_NAME.into()]) {
+        let beside = written.beside.iter().copied().chain([manifest::FILE_NAME]).map(String::from);
+        for file in probe_files(&manifest).chain(beside) {
             rename(&staging.join(&file), &self.folder.join(&file))?;
         }
         if let Some(earlier) = earlier {
@@ -142,9 +173,9 @@ fn remove_outdated(folder: &Path, earlier: &Manifest, manifest: &Manifest) {
     }
 }
 
-/// Every file in the folders of a bake's probes, relative to the manifest.
+/// Every file in the folders of a bake's probes, relative to the manifest. Probes without images have none.
 fn probe_files(manifest: &Manifest) -> impl Iterator<Item = String> + '_ {
-    manifest.probes.iter().flat_map(|probe| {
+    manifest.probes.iter().filter(|probe| !probe.files.is_empty()).flat_map(|probe| {
         let listed = probe.files.iter().map(|file| file.path.clone());
         listed.chain([format!("{}/{PREVIEW_FILE}", probe.id)])
     })
@@ -164,10 +195,11 @@ fn probe_record(probe: &Probe, files: Vec<FileRecord>, sh: ShRecord, statistics:
         id: probe.id.clone(),
         position: probe.position.into(),
         influence: Influence { min: min.into(), max: max.into(), blend: probe.blend },
-        proxy: probe.influence,
+        proxy: probe.proxy,
         priority: 0,
         files,
         sh,
         statistics,
+        estimated_error: None,
     }
 }

@@ -46,10 +46,12 @@ pub fn grid(bounds: Bounds, counts: [u32; 3], overlap: f64) -> Result<Vec<Probe>
                 let above = DVec3::select((cell + 1).cmplt(counts), DVec3::ONE, DVec3::ZERO);
                 let shared = spacing * overlap;
                 let (blend_low, blend_high) = (shared * below, shared * above);
+                let influence = Bounds { min: low - blend_low / 2.0, max: high + blend_high / 2.0 };
                 probes.push(Probe {
                     id: probe_id(probes.len(), total),
                     position: (low + high) / 2.0,
-                    influence: Bounds { min: low - blend_low / 2.0, max: high + blend_high / 2.0 },
+                    influence,
+                    proxy: influence,
                     blend: [blend_high.x, blend_low.x, blend_high.y, blend_low.y, blend_high.z, blend_low.z],
                 });
             }

@@ -44,7 +44,7 @@ pub fn list(points: &[DVec3], bounds: Option<Bounds>, overlap: f64) -> Result<Ve
         let above = (influence.max - position) * has_other_above * overlap;
         let below = (position - influence.min) * has_other_below * overlap;
         let blend = [above.x, below.x, above.y, below.y, above.z, below.z];
-        Ok(Probe { id: probe_id(index, points.len()), position, influence, blend })
+        Ok(Probe { id: probe_id(index, points.len()), position, influence, proxy: influence, blend })
     };
     points.iter().enumerate().map(probe).collect()
 }

@@ -1,14 +1,29 @@
 //! Where probes stand and how far they reach.
 
+pub mod adaptive;
+pub mod contours;
+pub mod free_space;
 pub mod grid;
+pub mod held_out;
+pub mod influence;
+pub mod interpolate;
+pub mod levels;
 pub mod list;
+pub mod plan;
+pub mod proxy;
+pub mod search;
+pub mod signal;
+pub mod sites;
+pub mod triangulation;
 
 use glam::DVec3;
 
 use crate::error::{Error, Result};
 use crate::scene::Bounds;
 
+pub use adaptive::{Adaptive, AdaptiveSettings, Sight, adaptive};
 pub use grid::grid;
+pub use interpolate::{Network, interpolate};
 pub use list::list;
 
 /// A reflection probe: where its cubemap is taken and where it is used.
@@ -20,6 +35,8 @@ pub struct Probe {
     pub position: DVec3,
     /// Where the probe is used: world space, metres.
     pub influence: Bounds,
+    /// Box that reflections are corrected against: world space, metres.
+    pub proxy: Bounds,
     /// How far inside each face of `influence` the probe fades out, in metres, in the order +X -X +Y -Y +Z -Z;
     /// 0 ends it at once. [`Probe::weight`] is the exact meaning.
     pub blend: [f64; 6],
@@ -44,6 +61,15 @@ impl Probe {
 fn probe_id(index: usize, count: usize) -> String {
     let digits = count.saturating_sub(1).to_string().len().max(3);
     format!("probe_{index:0digits$}")
+}
+
+/// The next of a fixed sequence of numbers, even in [0, 1) (splitmix64; Steele, Lea & Flood 2014).
+fn random(state: &mut u64) -> f64 {
+    *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let mut z = *state;
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
 }
 
 /// Fails unless `bounds` is finite and has a volume.

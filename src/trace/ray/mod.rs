@@ -103,13 +103,8 @@ impl RayScratch {
 /// Something met along a ray.
 #[derive(Clone, Copy)]
 enum Met {
-    Gaussian {
-        index: u32,
-        response: Response,
-    },
+    Gaussian { index: u32, response: Response },
     Surface(SurfaceHit),
-    /// Where the ray ends by itself.
-    End,
 }
 
 /// From the top: a key's bits, a rank for equal keys (Gaussians before triangles, lower indices first, as the reference
@@ -159,12 +154,9 @@ impl RayTracer<'_> {
     ) -> Radiance {
         let slabs = Slabs::new(ray, self.settings.order, self.settings.footprint);
         let mut blender = Blender::default();
-        // Nothing with a larger key can be seen: the nearest surface that is surely opaque.
+        // Nothing with a larger key can be seen: the limit, or the nearest surface that is surely opaque.
         let mut horizon = limit;
         scratch.begin(ray.origin);
-        if limit < f64::INFINITY {
-            scratch.meet(limit, u32::MAX, Met::End);
-        }
         let mut window = FIRST_WINDOW * scratch.last_end;
         if !self.bvh.nodes.is_empty() {
             scratch.open.push(0);
@@ -187,7 +179,7 @@ impl RayTracer<'_> {
             let nearest = scratch.later.iter().fold(f32::INFINITY, |nearest, &(key, _)| nearest.min(key));
             // Nothing waits, or nothing of it can be seen.
             let last = nearest == f32::INFINITY || f64::from(nearest) > horizon;
-            let end = if last { f64::INFINITY } else { f64::from(window) };
+            let end = if last { limit } else { limit.min(f64::from(window)) };
             if !self.blend_below(end, ray, &mut blender, scratch, &mut fragment) || last {
                 break;
             }
@@ -249,7 +241,6 @@ impl RayTracer<'_> {
                     }
                 }
                 Met::Surface(hit) => blender.surface(fragment(&hit, blender.transmittance), hit.distance),
-                Met::End => return false,
             }
             if blender.transmittance < cutoff || blender.transmittance <= 0.0 {
                 scratch.last_end = f64::from_bits((event >> 64) as u64) as f32;

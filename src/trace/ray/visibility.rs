@@ -41,7 +41,7 @@ impl RayTracer<'_> {
         while let Some(index) = scratch.open.pop() {
             let node = &self.bvh.nodes[index as usize];
             let met = slabs.meet(node, window).now;
-            for lane in bits(met & !(node.nodes | node.gaussians)) {
+            for lane in bits(met & node.triangles) {
                 let Some(hit) = self.hit(ray, node.index[lane], limit) else { continue };
                 if self.surfaces.is_opaque(hit.triangle) {
                     scratch.responses.clear();

@@ -1,0 +1,402 @@
+//! Adaptive placement: probes where prediction fails.
+//!
+//! Error-driven insertion into a triangulation follows what Garland & Heckbert (1995, "Fast polygonal approximation of
+//! terrains and height fields") do for heights; that fewer probes than a grid's suffice was shown by Wang et al. (I3D 2019,
+//! "Fast non-uniform radiance probe placement and tracing").
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use glam::DVec3;
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::free_space::{Reason, Space};
+use super::held_out::{self, ErrorSummary};
+use super::interpolate::Network;
+use super::levels::{self, Height};
+use super::plan::{Lattice, Plan};
+use super::search::{Budget, Candidate, Chosen, Search};
+use super::signal::Signal;
+use super::sites::{Dropped, LevelSites, stride};
+use super::triangulation::{Level, Share};
+use super::{Probe, check_bounds, grid, influence, probe_id};
+use crate::error::{Error, Result};
+use crate::scene::{Bounds, Scene};
+use crate::trace::TileTracer;
+use crate::trace::ray::RayScratch;
+
+/// What placement sees the scene with.
+pub struct Sight<'a> {
+    /// Single rays.
+    pub space: Space<'a>,
+    /// Cubemaps of [`signal::FACE_SIZE`](super::signal::FACE_SIZE) texels.
+    pub tiles: &'a dyn TileTracer,
+}
+
+/// What is asked of a placement.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AdaptiveSettings {
+    /// The box that the probes serve.
+    pub bounds: Bounds,
+    /// Heights at which probes stand; found from floors and ceilings where there are none.
+    pub levels: Vec<f64>,
+    /// Relative error that no place needs to be below.
+    pub error: f64,
+    /// Most probes; at least 1.
+    pub max_probes: usize,
+    /// When to stop adding probes. The result then depends on the machine.
+    pub time: Option<Duration>,
+    /// How many positions that placement does not use its error is measured at; 0 for none.
+    pub held_out: usize,
+}
+
+/// What was placed.
+pub struct Adaptive {
+    /// The probes, by level and place.
+    pub probes: Vec<Probe>,
+    /// Per probe: the mean relative error expected where it has the greatest weight.
+    pub estimated_errors: Vec<f64>,
+    /// What the manifest says about them.
+    pub record: PlacementRecord,
+    /// The free cells of the levels that were looked at.
+    pub plans: Vec<Plan>,
+    /// Time of each stage.
+    pub seconds: PlacementSeconds,
+}
+
+/// How probes of an adaptive placement are blended, and how well.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, rename_all = "camelCase")]
+pub struct PlacementRecord {
+    /// The levels with their triangulations, from the lowest up.
+    pub levels: Vec<Level>,
+    /// Places that were considered for a probe.
+    pub sites: usize,
+    /// Of those, how many were moved out of matter.
+    pub relocated: usize,
+    /// Places that were left out, and why.
+    pub dropped: Vec<Dropped>,
+    /// What tracing found wrong with the result.
+    pub checks: Checks,
+    /// Error at positions that placement did not use; none where it was not measured.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub held_out: Option<HeldOut>,
+}
+
+/// Faults of a placement, found by tracing; all are 0 when all is well.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, rename_all = "camelCase")]
+pub struct Checks {
+    /// Probes with opacity around them.
+    pub probes_in_matter: usize,
+    /// Triangles across which light does not pass between the middles of their halves.
+    pub triangles_across_walls: usize,
+    /// Held-out positions that no influence box holds.
+    pub positions_without_influence: usize,
+}
+
+/// Errors at held-out positions.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, rename_all = "camelCase")]
+pub struct HeldOut {
+    /// How many positions.
+    pub positions: usize,
+    /// Of this placement.
+    pub adaptive: ErrorSummary,
+    /// Of a regular grid with about as many probes, whose neighbours are blended linearly.
+    pub grid: ErrorSummary,
+    /// That grid's probes along x, y and z.
+    pub grid_counts: [u32; 3],
+}
+
+/// Wall clock time by stage of a placement, in seconds.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+#[serde(rename_all = "camelCase")]
+pub struct PlacementSeconds {
+    /// Levels, plans and sites.
+    pub free_space: f64,
+    /// Small cubemaps of all sites.
+    pub signals: f64,
+    /// Insertion and removal.
+    pub search: f64,
+    /// Checks and held-out errors.
+    pub report: f64,
+}
+
+/// Places probes by the error of their prediction.
+///
+/// Fails with [`Error::Request`] when the bounds are no box with a volume, a level is outside of them or has no free space,
+/// or there is no free space at all; with [`Error::Cancelled`] when `cancel` is set.
+pub fn adaptive(sight: &Sight, settings: &AdaptiveSettings, cancel: &AtomicBool) -> Result<Adaptive> {
+    let begun = Instant::now();
+    check_bounds(&settings.bounds)?;
+    let levels = level_sites(&sight.space, settings)?;
+    let free_space = begun.elapsed();
+
+    let placed_by_level =
+        levels.iter().enumerate().flat_map(|(i, level)| level.sites.iter().map(move |&site| (i, site)));
+    let places: Vec<(usize, DVec3)> = placed_by_level.collect();
+    let signals = trace_all(sight, places.iter().map(|place| place.1), cancel)?;
+    let candidates: Vec<Candidate> = places
+        .iter()
+        .zip(signals)
+        .map(|(&(level, _), signal)| Candidate { level, truth: signal.truth(), signal })
+        .collect();
+    let traced = begun.elapsed();
+
+    let budget = Budget {
+        error: settings.error,
+        probes: settings.max_probes.max(1),
+        end: settings.time.map(|time| begun + time),
+    };
+    let chosen = Search::new(&sight.space, &levels, &candidates, budget).run();
+    let searched = begun.elapsed();
+
+    let mut placed = Placed::new(&levels, &candidates, chosen, settings);
+    placed.check(&sight.space);
+    let held_out = held_out::positions(&sight.space, &levels, settings.held_out);
+    placed.judge(sight, settings, &held_out, cancel)?;
+    let seconds = PlacementSeconds {
+        free_space: free_space.as_secs_f64(),
+        signals: (traced - free_space).as_secs_f64(),
+        search: (searched - traced).as_secs_f64(),
+        report: (begun.elapsed() - searched).as_secs_f64(),
+    };
+    let Placed { probes, estimated_errors, record, .. } = placed;
+    let plans = levels.into_iter().map(|level| level.plan).collect();
+    Ok(Adaptive { probes, estimated_errors, record, plans, seconds })
+}
+
+/// Free space and sites of every level.
+fn level_sites(space: &Space, settings: &AdaptiveSettings) -> Result<Vec<LevelSites>> {
+    let bounds = &settings.bounds;
+    let lattice = Lattice::over(bounds);
+    let storeys = levels::storeys(space, &lattice, bounds);
+    let heights = if settings.levels.is_empty() {
+        levels::spread(&storeys)
+    } else {
+        levels::given(&settings.levels, &storeys, bounds)?
+    };
+    let plans: Vec<(Height, Plan)> =
+        heights.into_iter().map(|height| (height, Plan::trace(space, lattice, height.y))).collect();
+    let area = plans.iter().map(|(_, plan)| plan.area()).sum();
+    let stride = stride(lattice.cell, area);
+    // Rays of this length have left the bounds, and whatever stands around them.
+    let reach = 4.0 * bounds.extent().length();
+    let mut levels: Vec<LevelSites> =
+        plans.into_iter().map(|(height, plan)| LevelSites::new(space, plan, height, stride, reach)).collect();
+    if let Some(level) = levels.iter().find(|level| level.sites.is_empty() && !settings.levels.is_empty()) {
+        return Err(Error::request("--levels", format!("{} m: {}", level.height.y, why_none(&level.dropped))));
+    }
+    if levels.iter().all(|level| level.sites.is_empty()) {
+        let dropped: Vec<Dropped> = levels.iter().flat_map(|level| level.dropped.iter().copied()).collect();
+        let Bounds { min, max } = bounds;
+        let why = format!("{min} to {max} holds no place for a probe: {}", why_none(&dropped));
+        return Err(Error::request("--bounds", why));
+    }
+    levels.retain(|level| !level.sites.is_empty());
+    Ok(levels)
+}
+
+/// What stands against a probe, in words.
+fn why_none(dropped: &[Dropped]) -> String {
+    let count = |reason: Reason| dropped.iter().filter(|dropped| dropped.reason == reason).count();
+    match dropped.len() {
+        0 => "no floor with 1.5 m of free height above it was found; give --levels or other --bounds".into(),
+        all => format!(
+            "of {all} places {} lie in matter, {} see mostly nothing, {} have no floor below",
+            count(Reason::Matter),
+            count(Reason::Outside),
+            count(Reason::NoFloor)
+        ),
+    }
+}
+
+/// Small cubemaps at all `places`, in their order.
+fn trace_all(sight: &Sight, places: impl Iterator<Item = DVec3>, cancel: &AtomicBool) -> Result<Vec<Signal>> {
+    let scene: &Scene = sight.space.tracer.scene;
+    let trace = |place: DVec3| {
+        if cancel.load(Ordering::Relaxed) {
+            return Err(Error::Cancelled);
+        }
+        Signal::trace(sight.tiles, scene, place)
+    };
+    places.collect::<Vec<_>>().into_par_iter().with_max_len(1).map(trace).collect()
+}
+
+/// A result on its way to the caller.
+struct Placed<'a> {
+    candidates: &'a [Candidate],
+    /// The candidates that became probes, in the probes' order.
+    chosen: Vec<usize>,
+    probes: Vec<Probe>,
+    estimated_errors: Vec<f64>,
+    record: PlacementRecord,
+}
+
+impl<'a> Placed<'a> {
+    /// Numbers the probes by level and place, and leaves out levels without any.
+    fn new(sites: &[LevelSites], candidates: &'a [Candidate], chosen: Chosen, settings: &AdaptiveSettings) -> Self {
+        let Chosen { probes: mut indices, network, errors, .. } = chosen;
+        let weights: Vec<Vec<Share>> =
+            candidates.par_iter().map(|candidate| network.weights(candidate.signal.position)).collect();
+        let mut dropped: Vec<Dropped> = sites.iter().flat_map(|level| level.dropped.iter().copied()).collect();
+        indices.sort_unstable();
+        let number = |candidate: u32| indices.binary_search(&(candidate as usize)).unwrap_or(0) as u32;
+        let mut levels: Vec<Level> = network
+            .levels
+            .into_iter()
+            .filter(|level| level.vertices.iter().any(|vertex| !vertex.blend.is_empty()))
+            .collect();
+        for share in levels.iter_mut().flat_map(|level| &mut level.vertices).flat_map(|vertex| &mut vertex.blend) {
+            share.probe = number(share.probe);
+        }
+        // Where each probe counts most.
+        let mut sums = vec![(0.0, 0); indices.len()];
+        for (blend, error) in weights.iter().zip(&errors) {
+            let heaviest = blend.iter().max_by(|a, b| a.weight.total_cmp(&b.weight).then(b.probe.cmp(&a.probe)));
+            if let Some(share) = heaviest {
+                let sum = &mut sums[number(share.probe) as usize];
+                *sum = (sum.0 + error, sum.1 + 1);
+            }
+        }
+        let positions: Vec<DVec3> = indices.iter().map(|&i| candidates[i].signal.position).collect();
+        let margin = sites.iter().map(|level| level.plan.lattice.cell).fold(0.0, f64::max);
+        let influences = influence::influences(&positions, &levels, margin, &settings.bounds);
+        let probes = indices.iter().zip(influences).enumerate().map(|(i, (&candidate, (influence, blend)))| Probe {
+            id: probe_id(i, indices.len()),
+            position: candidates[candidate].signal.position,
+            influence,
+            proxy: candidates[candidate].signal.proxy,
+            blend,
+        });
+        let left = |i: &usize| indices.binary_search(i).is_err();
+        dropped.extend(
+            (0..candidates.len())
+                .filter(left)
+                .map(|i| Dropped { position: candidates[i].signal.position, reason: Reason::Predicted }),
+        );
+        let record = PlacementRecord {
+            sites: candidates.len(),
+            relocated: sites.iter().map(|level| level.relocated).sum(),
+            dropped,
+            levels,
+            checks: Checks::default(),
+            held_out: None,
+        };
+        // A probe that is nowhere the heaviest adds to others only.
+        let estimated_errors = sums.iter().map(|&(sum, count)| sum / f64::from(count.max(1))).collect();
+        Self { probes: probes.collect(), estimated_errors, candidates, chosen: indices, record }
+    }
+
+    /// Counts faults by tracing.
+    fn check(&mut self, space: &Space) {
+        let in_matter = |scratch: &mut RayScratch, probe: &Probe| usize::from(!space.is_free(probe.position, scratch));
+        let checks = &mut self.record.checks;
+        checks.probes_in_matter = self.probes.par_iter().map_init(RayScratch::default, in_matter).sum();
+        for level in &self.record.levels {
+            let crosses = |scratch: &mut RayScratch, triangle: &[u32; 3]| {
+                let corners = triangle.map(|vertex| level.vertices[vertex as usize].position);
+                let centre = (corners[0] + corners[1] + corners[2]) / 3.0;
+                // Half-way from the centre to the corners, which lie on walls.
+                let inner = corners.map(|corner| {
+                    let at = (corner + centre) / 2.0;
+                    DVec3::new(at.x, level.height.y, at.y)
+                });
+                let open = |a: usize, b: usize, scratch: &mut RayScratch| space.is_open(inner[a], inner[b], scratch);
+                usize::from(!(open(0, 1, scratch) && open(1, 2, scratch) && open(2, 0, scratch)))
+            };
+            let crossing: usize = level.triangles.par_iter().map_init(RayScratch::default, crosses).sum();
+            checks.triangles_across_walls += crossing;
+        }
+    }
+
+    /// Measures errors at `positions`, of this placement and of a grid.
+    fn judge(
+        &mut self,
+        sight: &Sight,
+        settings: &AdaptiveSettings,
+        positions: &[DVec3],
+        cancel: &AtomicBool,
+    ) -> Result<()> {
+        let covers = |position: &DVec3| self.probes.iter().any(|probe| probe.weight(*position) > 0.0);
+        self.record.checks.positions_without_influence = positions.iter().filter(|position| !covers(position)).count();
+        let truths = trace_all(sight, positions.iter().copied(), cancel)?;
+        let network = self.network();
+        let own: Vec<&Signal> = self.chosen.iter().map(|&i| &self.candidates[i].signal).collect();
+        let adaptive = ErrorSummary::of(&held_out::judge(&truths, &own, |position| network.weights(position)));
+
+        let grid_counts = grid_counts(settings.bounds.extent(), self.probes.len());
+        let (signals, weights) = grid_of(sight, settings.bounds, grid_counts, cancel)?;
+        let signals: Vec<&Signal> = signals.iter().collect();
+        let grid = ErrorSummary::of(&held_out::judge(&truths, &signals, weights));
+        self.record.held_out = adaptive.zip(grid).map(|(adaptive, grid)| HeldOut {
+            positions: positions.len(),
+            adaptive,
+            grid,
+            grid_counts,
+        });
+        Ok(())
+    }
+
+    fn network(&self) -> Network {
+        let probes = self.probes.iter().map(|probe| (probe.position, probe.proxy)).collect();
+        Network { probes, levels: self.record.levels.clone() }
+    }
+}
+
+/// Signals of a regular grid, whose proxy boxes are fitted as those of adaptive probes are, and its linear weights.
+pub fn grid_of(
+    sight: &Sight,
+    bounds: Bounds,
+    counts: [u32; 3],
+    cancel: &AtomicBool,
+) -> Result<(Vec<Signal>, impl Fn(DVec3) -> Vec<Share> + Sync + use<>)> {
+    // Boxes that reach to the neighbouring probes: their ramps are linear interpolation.
+    let probes = grid(bounds, counts, 1.0)?;
+    let signals = trace_all(sight, probes.iter().map(|probe| probe.position), cancel)?;
+    let weights = move |position: DVec3| {
+        let inside = position.clamp(bounds.min, bounds.max);
+        let shares = (0..).zip(&probes).map(|(i, probe)| Share { probe: i, weight: probe.weight(inside) });
+        let mut shares: Vec<Share> = shares.filter(|share| share.weight > 0.0).collect();
+        let sum: f64 = shares.iter().map(|share| share.weight).sum();
+        shares.iter_mut().for_each(|share| share.weight /= sum);
+        shares
+    };
+    Ok((signals, weights))
+}
+
+/// Numbers along the axes whose product comes nearest to `count` from below, with cells as near to cubes as that allows.
+pub fn grid_counts(extent: DVec3, count: usize) -> [u32; 3] {
+    let count = count.max(1);
+    let mut best = ([1; 3], f64::INFINITY);
+    for y in 1..=count {
+        for x in 1..=count / y {
+            let z = count / (x * y);
+            let cell = extent / DVec3::new(x as f64, y as f64, z as f64);
+            let stretch = (cell.max_element() / cell.min_element()).ln();
+            let missing = (count as f64 / (x * y * z) as f64).ln();
+            // A tenth fewer probes is as bad as cells half as long again.
+            let cost = stretch + 4.0 * missing;
+            if cost < best.1 {
+                best = ([x as u32, y as u32, z as u32], cost);
+            }
+        }
+    }
+    best.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_grid_for_comparison_has_about_as_many_probes_in_cells_like_cubes() {
+        assert_eq!(grid_counts(DVec3::new(20.0, 2.7, 16.8), 64), [9, 1, 7]);
+        assert_eq!(grid_counts(DVec3::ONE, 27), [3, 3, 3]);
+        assert_eq!(grid_counts(DVec3::new(10.0, 2.7, 4.2), 1), [1, 1, 1]);
+        assert_eq!(grid_counts(DVec3::ONE, 0), [1, 1, 1]);
+    }
+}
