@@ -46,7 +46,8 @@ fn is_srgb(map: &ColourMap, meshes: &Meshes) -> bool {
 fn an_empty_material_is_the_default_one() {
     assert_eq!(material_of(json!({})).0, Material::default());
     let empty: Vec<&str> =
-        ["ior", "specular", "clearcoat", "sheen", "transmission", "volume", "anisotropy", "iridescence", "dispersion"].into();
+        ["ior", "specular", "clearcoat", "sheen", "transmission", "volume", "anisotropy", "iridescence", "dispersion"]
+            .into();
     let extensions: serde_json::Map<String, Value> =
         empty.iter().map(|name| (format!("KHR_materials_{name}"), json!({}))).collect();
     assert_eq!(material_of(json!({"extensions": extensions})).0, Material::default());
@@ -181,7 +182,8 @@ fn variants_replace_the_materials_that_they_map() {
     for name in ["plain", "red", "blue"] {
         file.push("materials", json!({"name": name}));
     }
-    file.json["extensions"] = json!({"KHR_materials_variants": {"variants": [{"name": "a"}, {"name": "b"}, {"name": "c"}]}});
+    file.json["extensions"] =
+        json!({"KHR_materials_variants": {"variants": [{"name": "a"}, {"name": "b"}, {"name": "c"}]}});
     let mappings = json!([{"material": 1, "variants": [0]}, {"material": 2, "variants": [0, 2]}]);
     let primitive = &mut file.json["meshes"][0]["primitives"][0];
     primitive["material"] = json!(0);
@@ -224,7 +226,9 @@ fn lights_stand_and_point_as_their_nodes_do_whatever_the_scale() {
         let bulb = only(json!({"type": "point", "range": 5.0}));
         assert_eq!(bulb.kind, LightKind::Point { position: Vec3::new(1.0, 2.0, 3.0), range: 5.0 });
         assert_eq!(bulb.intensity, LinearRgb(Vec3::ONE));
-        let LightKind::Spot { inner_cone, outer_cone, range, .. } = only(json!({"type": "spot"})).kind else { panic!() };
+        let LightKind::Spot { inner_cone, outer_cone, range, .. } = only(json!({"type": "spot"})).kind else {
+            panic!()
+        };
         assert_eq!((inner_cone, outer_cone, range), (0.0, FRAC_PI_4, f32::INFINITY));
     }
 }
@@ -315,15 +319,19 @@ fn tangents_are_made_only_where_a_material_needs_them() {
 fn a_vertex_between_mirrored_halves_of_a_texture_is_split() {
     let mut file = normal_mapped();
     // Two squares side by side; u runs from 0 to 1 and back to 0.
-    let position = file.floats("VEC3", &[[0., 0., 0.], [1., 0., 0.], [2., 0., 0.], [0., 1., 0.], [1., 1., 0.], [2., 1., 0.]]);
+    let position =
+        file.floats("VEC3", &[[0., 0., 0.], [1., 0., 0.], [2., 0., 0.], [0., 1., 0.], [1., 1., 0.], [2., 1., 0.]]);
     let normal = file.floats("VEC3", &[[0., 0., 1.]; 6]);
     let uv = file.floats("VEC2", &[[0., 1.], [1., 1.], [0., 1.], [0., 0.], [1., 0.], [0., 0.]]);
     let indices = file.indices(&[0, 1, 4, 0, 4, 3, 1, 2, 5, 1, 5, 4]);
-    file.json["meshes"][0]["primitives"][0]["attributes"] = json!({"POSITION": position, "NORMAL": normal, "TEXCOORD_0": uv});
+    file.json["meshes"][0]["primitives"][0]["attributes"] =
+        json!({"POSITION": position, "NORMAL": normal, "TEXCOORD_0": uv});
     file.json["meshes"][0]["primitives"][0]["indices"] = json!(indices);
     let (meshes, _) = file.load().unwrap();
     assert_eq!(meshes.positions.len(), 8, "the two vertices in the middle stand for two each");
-    for (triangle, tangent, sign) in [(0, Vec3::X, 1.0), (1, Vec3::X, 1.0), (2, Vec3::NEG_X, -1.0), (3, Vec3::NEG_X, -1.0)] {
+    for (triangle, tangent, sign) in
+        [(0, Vec3::X, 1.0), (1, Vec3::X, 1.0), (2, Vec3::NEG_X, -1.0), (3, Vec3::NEG_X, -1.0)]
+    {
         for v in meshes.triangles[triangle] {
             let found: Vec4 = meshes.tangent_of(v as usize);
             assert!(found.truncate().abs_diff_eq(tangent, 1e-5) && found.w == sign, "{triangle}: {found}");

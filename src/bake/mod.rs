@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use crate::job::{MAX_FACE_SIZE, MAX_SAMPLES};
+use crate::shade::path::SurfaceNoise;
 use crate::trace::{Face, Tile};
 
 pub use schedule::bake_probes;
@@ -86,6 +87,9 @@ pub struct ProbeStatistics {
     /// Distances of what was seen, in metres; `None` where nothing was.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub distance: Option<DistanceStatistics>,
+    /// Noise of surfaces that were lit by path tracing; `None` where there were none.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub surface_noise: Option<SurfaceNoise>,
 }
 
 /// Distances around a probe, in metres.

@@ -150,6 +150,7 @@ impl<Sink: Fn(usize, Cubemap, ProbeStatistics) -> Result<()> + Sync> Bake<'_, Si
                 mean: sums.distance / sums.coverage,
                 max: f64::from(sums.max_distance),
             }),
+            surface_noise: None,
         }
     }
 

@@ -122,6 +122,13 @@ pub struct Bake {
     /// How light leaves a mesh's surface [default: unlit].
     #[arg(long, value_name = "MODEL", help_heading = "Tracing")]
     surface: Option<Surface>,
+    /// Refine surfaces lit by path tracing to this standard error, a share of their light; 0 always takes --max-paths
+    /// [default: 0.02].
+    #[arg(long, value_name = "SHARE", help_heading = "Tracing")]
+    noise: Option<f32>,
+    /// Most paths per ray that meets a surface [default: 1024].
+    #[arg(long, value_name = "N", help_heading = "Tracing")]
+    max_paths: Option<u32>,
     /// What computes the radiance along rays [default: beam].
     #[arg(long, value_name = "TRACER", help_heading = "Tracing")]
     tracer: Option<Tracer>,
@@ -187,6 +194,8 @@ impl Bake {
         set(&mut job.t_cutoff, self.t_cutoff);
         set(&mut job.t_near, self.t_near);
         set(&mut job.surface, self.surface);
+        set(&mut job.noise, self.noise);
+        set(&mut job.max_paths, self.max_paths);
         set(&mut job.tracer, self.tracer);
         set(&mut job.threads, self.threads);
         set(&mut job.progress, self.progress);
@@ -265,7 +274,7 @@ mod tests {
         let line = "--splats b.ply --splat-frame rub --splat-transform s=2 --splat-encoding lin-scene --crop sphere:-1,2,3,4 \
             --min-opacity 0.25 --lod 2 --mesh c.glb --mesh-transform t=1,2,3 --mesh-scene 1 --variant red --missing-texture magenta --background 1,2,3 -o out --pixel float --distance --stats s.json \
             --bounds -1,-2,-3,1,2,3 --grid 2,3,4 --overlap 0.5 --face-size 16 --samples 2 --footprint train:800 --order cameraDistance \
-            --sh-direction ray --t-cutoff 0 --t-near 0.5 --surface unlit --tracer reference --threads 3 --progress json";
+            --sh-direction ray --t-cutoff 0 --t-near 0.5 --surface path --noise 0.5 --max-paths 64 --tracer reference --threads 3 --progress json";
         let line: Vec<&str> = [path.to_str().unwrap()].into_iter().chain(line.split_whitespace()).collect();
         let expected = r#"{
             "splats": [{"path": "b.ply", "frame": "rub", "transform": {"scale": [2, 2, 2]}, "encoding": "lin-scene",
@@ -274,7 +283,7 @@ mod tests {
                 "variant": "red", "missingTexture": "magenta"}],
             "output": "out", "stats": "s.json", "progress": "json", "threads": 3, "background": [1, 2, 3],
             "pixel": "float", "distance": true, "faceSize": 16, "samples": 2, "footprint": "train:800", "order": "cameraDistance",
-            "shDirection": "ray", "tCutoff": 0, "tNear": 0.5, "surface": "unlit", "tracer": "reference",
+            "shDirection": "ray", "tCutoff": 0, "tNear": 0.5, "surface": "path", "noise": 0.5, "maxPaths": 64, "tracer": "reference",
             "placement": {"bounds": [-1, -2, -3, 1, 2, 3], "grid": [2, 3, 4], "overlap": 0.5}
         }"#;
         assert_eq!(job(&line).unwrap(), serde_json::from_str(expected).unwrap());

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 pub use crop::Crop;
 pub use footprint::Footprint;
 pub use inputs::{Frame, MeshInput, MissingTexture, SplatInput, Transform, parse_numbers};
-pub use validate::{MAX_FACE_SIZE, MAX_PROBES, MAX_SAMPLES};
+pub use validate::{MAX_FACE_SIZE, MAX_PATHS, MAX_PROBES, MAX_SAMPLES};
 
 /// In which order contributions along a ray are blended (OpenUSD's and KHR_gaussian_splatting's terms).
 #[derive(Debug, Default, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -52,6 +52,8 @@ pub enum Surface {
     /// Base colour as if lit evenly, plus emission; no light transport. The default.
     #[default]
     Unlit,
+    /// Lit by all that the surface sees, by path tracing: Gaussians, other surfaces, lights and background.
+    Path,
 }
 
 /// What computes the radiance along rays.
@@ -161,6 +163,14 @@ pub struct Job {
     pub t_near: f32,
     /// How light leaves a mesh's surface. Default: unlit.
     pub surface: Surface,
+    /// Noise of surfaces that are lit by path tracing: each is refined until its reflected light is known to this share of
+    /// it (standard error; where it is darker than 1/20 of paper white, to this share of that). 0 refines each to
+    /// `maxPaths`. Default: 0.02.
+    #[schemars(range(min = 0.0))]
+    pub noise: f32,
+    /// Most paths per ray that meets a surface. Default: 1024.
+    #[schemars(range(min = 1, max = 1_048_576))]
+    pub max_paths: u32,
     /// What computes the radiance along rays. Default: beam.
     pub tracer: Tracer,
     /// How pixels are stored. Default: half.
@@ -198,6 +208,8 @@ impl Default for Job {
             t_cutoff: 1.0 / 2048.0,
             t_near: 0.0,
             surface: Surface::default(),
+            noise: 0.02,
+            max_paths: 1024,
             tracer: Tracer::default(),
             pixel: Pixel::default(),
             distance: false,

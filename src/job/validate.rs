@@ -10,6 +10,9 @@ pub const MAX_FACE_SIZE: u32 = 8192;
 /// Largest number of rays per pixel and axis.
 pub const MAX_SAMPLES: u32 = 64;
 
+/// Most paths per ray that meets a surface.
+pub const MAX_PATHS: u32 = 1 << 20;
+
 /// Most probes of one bake; each is a folder.
 pub const MAX_PROBES: usize = 1_000_000;
 
@@ -49,6 +52,12 @@ impl Job {
         })?;
         require(self.t_near.is_finite() && self.t_near >= 0.0, "--t-near", || {
             format!("{} is not a distance in metres, 0 or more", self.t_near)
+        })?;
+        require(self.noise.is_finite() && self.noise >= 0.0, "--noise", || {
+            format!("{} is not a share of a surface's light, 0 or more", self.noise)
+        })?;
+        require((1..=MAX_PATHS).contains(&self.max_paths), "--max-paths", || {
+            format!("{} is not between 1 and {MAX_PATHS} paths", self.max_paths)
         })?;
         require(self.background.iter().all(|value| value.is_finite() && *value >= 0.0), "--background", || {
             format!("{:?} is not a radiance: three finite numbers, 0 or more", self.background)

@@ -170,7 +170,7 @@ mod tests {
             proxy: Bounds { min: DVec3::NEG_ONE, max: DVec3::ONE },
             priority: 0,
             files: vec![record],
-            statistics: ProbeStatistics { mean_coverage: 1.0, distance: None, rays: 96 },
+            statistics: ProbeStatistics { mean_coverage: 1.0, distance: None, rays: 96, surface_noise: None },
         };
         let path = folder.join(FILE_NAME);
         Manifest::new(&Job::default(), SplatEncoding::SrgbDisplay, Vec::new(), vec![probe]).write(&path).unwrap();

@@ -11,14 +11,14 @@ use glam::{DVec3, Vec3};
 use serde::Serialize;
 
 use self::output::Output;
-use crate::bake::{self, BakeSettings, Progress};
+use crate::bake::{self, BakeSettings, ProbeStatistics, Progress};
 use crate::bvh::Bvh;
 use crate::ingest::{self, SceneReport};
 use crate::job::{Job, Order, Placement, Surface, Tracer};
 use crate::manifest::{self, InputRecord, Manifest};
 use crate::place::{self, Probe};
 use crate::scene::{Bounds, LinearRgb, Scene};
-use crate::shade::UnlitSurfaces;
+use crate::shade::{PathSettings, PathSurfaces, UnlitSurfaces};
 use crate::trace::footprint;
 use crate::trace::{BeamTracer, Footprint, Level, RayTracer, ReferenceTracer, Surfaces, TileTracer, TraceSettings};
 use crate::{Error, Result};
@@ -83,17 +83,22 @@ fn bake_on_these_threads(job: &Job, progress: &dyn Progress, cancel: &AtomicBool
     let bvh = Bvh::build(&mut scene);
     let built = Instant::now();
 
-    let surfaces: Box<dyn Surfaces> = match job.surface {
-        Surface::Unlit => {
-            let ray_angle = footprint::ray_angle(job.face_size * job.samples);
-            Box::new(UnlitSurfaces::new(&scene.meshes).for_rays_of(ray_angle))
-        }
-    };
-    let tracer = tracer(job, order, &scene, &bvh, &*surfaces);
+    let rules = trace_settings(job, order);
+    let ray_angle = footprint::ray_angle(job.face_size * job.samples);
+    let origins: Vec<DVec3> = probes.iter().map(|probe| probe.position - scene.origin).collect();
+    let unlit = UnlitSurfaces::new(&scene.meshes).for_rays_of(ray_angle);
+    let lit = (job.surface == Surface::Path).then(|| {
+        let settings = PathSettings { noise: job.noise, max_paths: job.max_paths, ..PathSettings::default() };
+        PathSurfaces::new(&scene, &bvh, rules, settings, &origins).for_rays_of(ray_angle)
+    });
+    let surfaces: &dyn Surfaces = lit.as_ref().map_or(&unlit, |lit| lit);
+    let tracer = tracer(job, rules, &scene, &bvh, surfaces);
     let output = Output::begin(job, probes.len())?;
     let settings = BakeSettings { face_size: job.face_size, samples: job.samples, distance: job.distance };
     bake::bake_probes(&*tracer, &scene, &probes, &settings, progress, cancel, |index, cubemap, statistics| {
         scene.meshes.check_textures()?;
+        let surface_noise = lit.as_ref().and_then(|lit| lit.noise_of(origins[index]));
+        let statistics = ProbeStatistics { surface_noise, ..statistics };
         output.write_probe(index, &probes[index], &cubemap, statistics)
     })?;
     if cancel.load(Ordering::Relaxed) {
@@ -136,20 +141,23 @@ fn place_probes(placement: &Placement, scene: &SceneReport) -> Result<Vec<Probe>
     }
 }
 
-fn tracer<'a>(
-    job: &Job,
-    order: Order,
-    scene: &'a Scene,
-    bvh: &'a Bvh,
-    surfaces: &'a dyn Surfaces,
-) -> Box<dyn TileTracer + 'a> {
-    let settings = TraceSettings {
+fn trace_settings(job: &Job, order: Order) -> TraceSettings {
+    TraceSettings {
         order,
         sh_direction: job.sh_direction,
         t_cutoff: job.t_cutoff,
         t_near: job.t_near,
         footprint: Footprint::new(job.footprint, job.face_size * job.samples),
-    };
+    }
+}
+
+fn tracer<'a>(
+    job: &Job,
+    settings: TraceSettings,
+    scene: &'a Scene,
+    bvh: &'a Bvh,
+    surfaces: &'a dyn Surfaces,
+) -> Box<dyn TileTracer + 'a> {
     match job.tracer {
         Tracer::Beam => Box::new(BeamTracer { scene, bvh, surfaces, settings, level: Level::best() }),
         Tracer::Ray => Box::new(RayTracer { scene, bvh, surfaces, settings }),

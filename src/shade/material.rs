@@ -385,9 +385,8 @@ mod tests {
         let material = Material { base_colour_texture: Some(TEXTURE), ..Material::default() };
         let checker = |x: u32, y: u32| if (x + y).is_multiple_of(2) { [255; 4] } else { [0, 0, 0, 255] };
         let meshes = meshes(material, Encoding::Srgb, 64, checker);
-        let seen = |direction: DVec3, width: f32| {
-            point_of(&meshes, &ray(direction), width).base_colour_and_coverage().0.x
-        };
+        let seen =
+            |direction: DVec3, width: f32| point_of(&meshes, &ray(direction), width).base_colour_and_coverage().0.x;
         for direction in [DVec3::NEG_Z, DVec3::new(1.0, 0.3, -1.0), DVec3::new(1.0, 0.0, -1e-6)] {
             for width in [0.2, 1.0, 1e3] {
                 let mean = seen(direction, width);

@@ -3,13 +3,13 @@
 //! EXT_meshopt_compression packs buffer views, KHR_draco_mesh_compression whole primitives. A primitive that has plain
 //! data beside the packed ones is read from those.
 
+use draco_core::DataType;
 use draco_core::decode_limits::DecodeLimits;
 use draco_core::decoder_buffer::DecoderBuffer;
 use draco_core::geometry_attribute::PointAttribute;
 use draco_core::geometry_indices::PointIndex;
 use draco_core::mesh::Mesh;
 use draco_core::mesh_decoder::MeshDecoder;
-use draco_core::DataType;
 use gltf::json::accessor::{ComponentType, GenericComponentType};
 use gltf::json::buffer::View;
 use gltf::json::mesh::Mode;
@@ -82,7 +82,8 @@ fn unpack_view(asset: &Asset, packed: &Value, here: &str) -> Result<Vec<u8>> {
     let bytes = &asset.buffers[buffer.value()];
     let range = usize::try_from(compression.byte_offset).ok().zip(usize::try_from(compression.byte_length).ok());
     let range = range.and_then(|(start, length)| bytes.get(start..start.checked_add(length)?));
-    let range = range.ok_or_else(|| asset.invalid(here, format!("it reaches past the end of buffer {}", buffer.value())))?;
+    let range =
+        range.ok_or_else(|| asset.invalid(here, format!("it reaches past the end of buffer {}", buffer.value())))?;
     compression.unpack(range).map_err(|why| asset.invalid(here, why))
 }
 

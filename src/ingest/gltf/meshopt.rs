@@ -54,7 +54,9 @@ impl Compression {
         let (stride, count) = (self.byte_stride, self.count);
         let is_index = matches!(stride, 2 | 4);
         let fits = match (self.mode, self.filter) {
-            (Mode::Attributes, Filter::None | Filter::Exponential) => stride.is_multiple_of(4) && (4..=256).contains(&stride),
+            (Mode::Attributes, Filter::None | Filter::Exponential) => {
+                stride.is_multiple_of(4) && (4..=256).contains(&stride)
+            }
             (Mode::Attributes, Filter::Octahedral) => stride == 4 || stride == 8,
             (Mode::Attributes, Filter::Quaternion) => stride == 8,
             (Mode::Triangles, Filter::None) => is_index && count.is_multiple_of(3),

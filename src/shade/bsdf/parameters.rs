@@ -75,3 +75,54 @@ impl Default for Parameters {
         }
     }
 }
+
+impl Parameters {
+    /// With every value taken to the nearest in its range, and to the range's lower end where it is not a number.
+    pub(super) fn in_range(&self) -> Self {
+        let share = |value: f32| value.max(0.0).min(1.0);
+        let colour = |colour: Vec3| colour.map(|value| value.max(0.0).min(1.0));
+        let positive = |value: f32| value.max(0.0).min(f32::MAX);
+        let ior = |value: f32| value.max(1.0).min(MAX_IOR);
+        Self {
+            base_colour: colour(self.base_colour),
+            metallic: share(self.metallic),
+            roughness: share(self.roughness),
+            ior: if self.ior == 0.0 { 0.0 } else { ior(self.ior) },
+            specular: share(self.specular),
+            specular_colour: self.specular_colour.map(positive),
+            clearcoat: share(self.clearcoat),
+            clearcoat_roughness: share(self.clearcoat_roughness),
+            sheen_colour: colour(self.sheen_colour),
+            sheen_roughness: share(self.sheen_roughness),
+            transmission: share(self.transmission),
+            thickness: positive(self.thickness),
+            anisotropy_strength: share(self.anisotropy_strength),
+            anisotropy_rotation: if self.anisotropy_rotation.is_finite() { self.anisotropy_rotation } else { 0.0 },
+            iridescence: share(self.iridescence),
+            iridescence_ior: ior(self.iridescence_ior),
+            iridescence_thickness_nm: positive(self.iridescence_thickness_nm),
+            dispersion: positive(self.dispersion),
+            attenuation_colour: colour(self.attenuation_colour),
+            attenuation_distance: self.attenuation_distance,
+        }
+    }
+
+    /// Share of light that is left after `distance` metres inside the volume (KHR_materials_volume).
+    pub fn attenuation(&self, distance: f32) -> Vec3 {
+        // Infinite, absent and broken distances do not attenuate.
+        let exponent = distance / self.attenuation_distance;
+        if !(exponent > 0.0 && self.attenuation_distance > 0.0) {
+            return Vec3::ONE;
+        }
+        self.attenuation_colour.map(|channel| channel.max(0.0).min(1.0).powf(exponent))
+    }
+
+    /// The same material as one channel (0, 1, 2 for red, green, blue) is refracted by it (KHR_materials_dispersion).
+    pub fn dispersed(&self, channel: usize) -> Self {
+        let half_spread = (self.ior - 1.0) * 0.025 * self.dispersion;
+        Self { ior: self.ior + half_spread * (channel as f32 - 1.0), dispersion: 0.0, ..*self }
+    }
+}
+
+/// More than any material has; the tables end in the vicinity.
+const MAX_IOR: f32 = 100.0;

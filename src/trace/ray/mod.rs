@@ -11,6 +11,7 @@
 
 mod responses;
 mod slabs;
+mod visibility;
 
 use glam::{DVec3, Vec3};
 use pulp::Simd;
@@ -19,7 +20,7 @@ use self::responses::{LaneResponse, Responses};
 use self::slabs::Slabs;
 use super::composite::Blender;
 use super::gaussian::Response;
-use super::{Radiance, Ray, SurfaceHit, Surfaces, Tile, TileTracer, TraceSettings, triangle};
+use super::{Fragment, Radiance, Ray, SurfaceHit, Surfaces, Tile, TileTracer, TraceSettings, triangle};
 use crate::bvh::{Bvh, Child};
 use crate::job::{Order, ShDirection};
 use crate::scene::{Scene, sh};
@@ -48,8 +49,10 @@ pub struct RayScratch {
     /// Where the last ray ended: a neighbour's end is likely near it.
     last_end: f32,
     origin: DVec3,
-    /// By index modulo [`COLOURS`]: which Gaussian, and its colour as seen from `origin`.
-    colours: Vec<(u32, Vec3)>,
+    /// Counts the origins, so that colours seen from earlier ones are known to be old.
+    origin_number: u32,
+    /// By index modulo [`COLOURS`]: which Gaussian, the number of the origin that saw it, and its colour from there.
+    colours: Vec<(u32, u32, Vec3)>,
 }
 
 /// Colours kept between rays: what a tile of rays sees of a captured room fits several times.
@@ -65,7 +68,8 @@ impl Default for RayScratch {
             met: Vec::new(),
             last_end: 0.0,
             origin: DVec3::NAN,
-            colours: vec![(u32::MAX, Vec3::ZERO); COLOURS],
+            origin_number: 0,
+            colours: vec![(u32::MAX, 0, Vec3::ZERO); COLOURS],
         }
     }
 }
@@ -78,7 +82,10 @@ impl RayScratch {
         self.met.clear();
         if self.origin != origin {
             self.origin = origin;
-            self.colours.fill((u32::MAX, Vec3::ZERO));
+            self.origin_number = self.origin_number.wrapping_add(1);
+            if self.origin_number == 0 {
+                self.colours.fill((u32::MAX, 0, Vec3::ZERO));
+            }
         }
     }
 
@@ -92,8 +99,13 @@ impl RayScratch {
 /// Something met along a ray.
 #[derive(Clone, Copy)]
 enum Met {
-    Gaussian { index: u32, response: Response },
+    Gaussian {
+        index: u32,
+        response: Response,
+    },
     Surface(SurfaceHit),
+    /// Where the ray ends by itself.
+    End,
 }
 
 /// From the top: a key's bits, a rank for equal keys (Gaussians before triangles, lower indices first, as the reference
@@ -117,16 +129,38 @@ const FIRST_WINDOW: f32 = 0.9;
 impl RayTracer<'_> {
     /// Everything along one ray until its transmittance falls below the cut-off.
     pub fn trace(&self, ray: &Ray, scratch: &mut RayScratch) -> Radiance {
-        pulp::Arch::new().dispatch(TraceRay { tracer: self, ray, scratch })
+        self.trace_with(ray, f64::INFINITY, scratch, |hit, _| self.surfaces.fragment(ray, hit))
+    }
+
+    /// Everything along one ray whose sort key is below `limit`, surfaces as `fragment` gives them. It is told the hit and
+    /// the transmittance before it, front to back, and only of hits that light reaches the ray's origin from.
+    pub fn trace_with(
+        &self,
+        ray: &Ray,
+        limit: f64,
+        scratch: &mut RayScratch,
+        fragment: impl FnMut(&SurfaceHit, f64) -> Fragment,
+    ) -> Radiance {
+        pulp::Arch::new().dispatch(TraceRay { tracer: self, ray, limit, scratch, fragment })
     }
 
     #[inline(always)]
-    fn walk<S: Simd>(&self, simd: S, ray: &Ray, scratch: &mut RayScratch) -> Radiance {
+    fn walk<S: Simd>(
+        &self,
+        simd: S,
+        ray: &Ray,
+        limit: f64,
+        scratch: &mut RayScratch,
+        mut fragment: impl FnMut(&SurfaceHit, f64) -> Fragment,
+    ) -> Radiance {
         let slabs = Slabs::new(ray, self.settings.order, self.settings.footprint);
         let mut blender = Blender::default();
         // Nothing with a larger key can be seen: the nearest surface that is surely opaque.
-        let mut horizon = f64::INFINITY;
+        let mut horizon = limit;
         scratch.begin(ray.origin);
+        if limit < f64::INFINITY {
+            scratch.meet(limit, u32::MAX, Met::End);
+        }
         let mut window = FIRST_WINDOW * scratch.last_end;
         if !self.bvh.nodes.is_empty() {
             scratch.open.push(0);
@@ -154,7 +188,7 @@ impl RayTracer<'_> {
             // Nothing waits, or nothing of it can be seen.
             let last = nearest == f32::INFINITY || f64::from(nearest) > horizon;
             let end = if last { f64::INFINITY } else { f64::from(window) };
-            if !self.blend_below(end, ray, &mut blender, scratch) || last {
+            if !self.blend_below(end, ray, &mut blender, scratch, &mut fragment) || last {
                 break;
             }
             // At least one box more, even if its key is 0 or cannot be told from the window's end.
@@ -194,7 +228,14 @@ impl RayTracer<'_> {
 
     /// Blends all events with keys below `end`; false once the ray's transmittance is below the cut-off.
     #[inline(always)]
-    fn blend_below(&self, end: f64, ray: &Ray, blender: &mut Blender, scratch: &mut RayScratch) -> bool {
+    fn blend_below(
+        &self,
+        end: f64,
+        ray: &Ray,
+        blender: &mut Blender,
+        scratch: &mut RayScratch,
+        fragment: &mut impl FnMut(&SurfaceHit, f64) -> Fragment,
+    ) -> bool {
         let end = event(end, 0, 0);
         let mut waiting = 0;
         for i in 0..scratch.events.len() {
@@ -214,7 +255,8 @@ impl RayTracer<'_> {
                         blender.splat(alpha, colour, distance);
                     }
                 }
-                Met::Surface(hit) => blender.surface(self.surfaces.fragment(ray, &hit), hit.distance),
+                Met::Surface(hit) => blender.surface(fragment(&hit, blender.transmittance), hit.distance),
+                Met::End => return false,
             }
             if blender.transmittance < cutoff || blender.transmittance <= 0.0 {
                 scratch.last_end = f64::from_bits((event >> 64) as u64) as f32;
@@ -250,16 +292,22 @@ impl RayTracer<'_> {
 
     /// Returns the horizon, nearer if the triangle is opaque.
     fn meet_triangle(&self, ray: &Ray, index: u32, horizon: f64, scratch: &mut RayScratch) -> f64 {
+        let Some(hit) = self.hit(ray, index, horizon) else { return horizon };
+        scratch.meet(hit.distance, TRIANGLE_RANK | index, Met::Surface(hit));
+        if self.surfaces.is_opaque(index) { hit.distance } else { horizon }
+    }
+
+    /// Where the ray meets the triangle, if it sees that side and before `horizon`.
+    #[inline]
+    pub fn hit(&self, ray: &Ray, index: u32, horizon: f64) -> Option<SurfaceHit> {
         let corners = self.scene.meshes.corners(index as usize).map(|corner| corner.as_dvec3() - ray.origin);
-        let Some(met) = triangle::intersect(corners, ray.direction) else { return horizon };
+        let met = triangle::intersect(corners, ray.direction)?;
         let seen = met.front || self.surfaces.is_double_sided(index);
         let distance = met.distance;
         if !seen || distance <= f64::from(self.settings.t_near) || distance > horizon {
-            return horizon;
+            return None;
         }
-        let hit = SurfaceHit { triangle: index, barycentric: met.barycentric, front: met.front, distance };
-        scratch.meet(distance, TRIANGLE_RANK | index, Met::Surface(hit));
-        if self.surfaces.is_opaque(index) { distance } else { horizon }
+        Some(SurfaceHit { triangle: index, barycentric: met.barycentric, front: met.front, distance })
     }
 
     /// The Gaussian's colour along the ray. Rays of one probe ask for the same ones again and again.
@@ -272,11 +320,11 @@ impl RayTracer<'_> {
             return evaluate(ray.direction).as_dvec3();
         }
         let cached = &mut scratch.colours[index as usize % COLOURS];
-        if cached.0 != index {
+        if cached.0 != index || cached.1 != scratch.origin_number {
             let direction = (splats.means[index as usize].as_dvec3() - ray.origin).normalize();
-            *cached = (index, evaluate(direction));
+            *cached = (index, scratch.origin_number, evaluate(direction));
         }
-        cached.1.as_dvec3()
+        cached.2.as_dvec3()
     }
 }
 
@@ -301,17 +349,19 @@ fn bits(mask: u8) -> impl Iterator<Item = usize> {
 }
 
 /// One ray at the machine's best instruction level: a closure would be compiled outside of it.
-struct TraceRay<'a, 'b> {
+struct TraceRay<'a, 'b, F> {
     tracer: &'a RayTracer<'b>,
     ray: &'a Ray,
+    limit: f64,
     scratch: &'a mut RayScratch,
+    fragment: F,
 }
 
-impl pulp::WithSimd for TraceRay<'_, '_> {
+impl<F: FnMut(&SurfaceHit, f64) -> Fragment> pulp::WithSimd for TraceRay<'_, '_, F> {
     type Output = Radiance;
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Radiance {
-        self.tracer.walk(simd, self.ray, self.scratch)
+        self.tracer.walk(simd, self.ray, self.limit, self.scratch, self.fragment)
     }
 }

@@ -72,6 +72,12 @@ impl Responses {
         self.batch.take()
     }
 
+    /// Empties the batch.
+    #[inline(always)]
+    pub fn clear(&mut self) {
+        self.batch.take();
+    }
+
     /// The response in `lane`, valid between [`Self::evaluate`] and the next [`Self::add`].
     #[inline(always)]
     pub fn lane(&self, lane: usize) -> LaneResponse {

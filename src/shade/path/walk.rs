@@ -1,0 +1,267 @@
+//! One path: from a surface toward the light.
+//!
+//! At every surface lights are sampled directly and the BSDF is sampled for the next ray, and where both could have found
+//! the same light they share it by the power heuristic (Veach 1997, section 9.2). Gaussians are never sampled directly: what
+//! a ray gathers of them is its radiance as the tracers define it, blended in their encoding and converted once. Surfaces
+//! that cover part of a ray weigh what the ray gathers as they do for a probe's, and the path goes on from one of them,
+//! drawn by weight.
+
+use glam::{DVec3, Vec3};
+
+use crate::scene::LinearRgb;
+use crate::shade::bsdf::{Bsdf, Parameters};
+use crate::shade::lights::Lights;
+use crate::shade::material::{MaterialPoint, SurfacePoint};
+use crate::shade::sampling::Sampler;
+use crate::trace::ray::RayScratch;
+use crate::trace::{Fragment, Ray, RayTracer, SurfaceHit};
+
+/// Bounces that no path ends before by chance.
+const SURE_BOUNCES: u32 = 3;
+
+/// A ray that leaves a surface starts this share of the numbers at hand away from it: f64 places a hit a thousand times
+/// better, and nothing that a file can hold in f32 is finer.
+const LIFT: f64 = 1e-10;
+
+/// A point of a surface that a path stands on.
+pub(super) struct Footing {
+    position: DVec3,
+    geometric_normal: DVec3,
+    /// Tangent, bitangent, normal.
+    axes: [Vec3; 3],
+    /// Toward where the path came from, in those axes.
+    view: Vec3,
+    parameters: Parameters,
+    front: bool,
+    /// Metres of the path so far.
+    length: f32,
+}
+
+impl Footing {
+    pub fn new(ray: &Ray, hit: &SurfaceHit, material: &MaterialPoint, length: f32) -> Self {
+        let axes = [material.tangent, material.bitangent, material.normal];
+        let toward = -ray.direction.as_vec3();
+        Self {
+            position: ray.origin + ray.direction * hit.distance,
+            geometric_normal: material.geometric_normal.as_dvec3(),
+            axes,
+            view: Vec3::from_array(axes.map(|axis| axis.dot(toward))),
+            parameters: material.parameters,
+            front: material.front,
+            length,
+        }
+    }
+
+    pub fn is_black(&self) -> bool {
+        self.bsdf(&self.parameters).is_black()
+    }
+
+    fn bsdf(&self, parameters: &Parameters) -> Bsdf {
+        Bsdf::new(parameters, self.view, !self.front)
+    }
+
+    fn local(&self, direction: DVec3) -> Vec3 {
+        let direction = direction.as_vec3();
+        Vec3::from_array(self.axes.map(|axis| axis.dot(direction)))
+    }
+
+    fn world(&self, local: Vec3) -> DVec3 {
+        let [tangent, bitangent, normal] = self.axes.map(|axis| axis.as_dvec3());
+        let local = local.as_dvec3();
+        (tangent * local.x + bitangent * local.y + normal * local.z).normalize()
+    }
+
+    /// Whether the surface itself and its shading normal agree on which side `direction` points to.
+    fn is_consistent(&self, direction: DVec3, local: Vec3) -> bool {
+        (direction.dot(self.geometric_normal) > 0.0) == (local.z > 0.0)
+    }
+
+    /// A ray from here.
+    fn leave(&self, direction: DVec3) -> Ray {
+        let side = self.geometric_normal * direction.dot(self.geometric_normal).signum();
+        let lift = LIFT * (self.position.abs().max_element() + f64::from(self.length));
+        Ray { origin: self.position + side * lift, direction }
+    }
+}
+
+/// What all paths of a bake share.
+pub(super) struct Walk<'a> {
+    pub tracer: RayTracer<'a>,
+    pub lights: &'a Lights<'a>,
+    pub ray_angle: f32,
+    pub max_bounces: u32,
+}
+
+/// What a ray meets.
+struct Segment {
+    /// What it gathers, without surfaces.
+    radiance: Vec3,
+    /// The surface that the path goes on from: its share of the light divided by the probability of drawing it.
+    next: Option<(SurfaceHit, f32)>,
+}
+
+impl Walk<'_> {
+    /// The light that one path brings to the eye at the start of `ray` from the surface at `first`, which `ray` has met.
+    pub fn path(&self, ray: &Ray, first: &Footing, sampler: &mut Sampler, scratch: &mut RayScratch) -> Vec3 {
+        let mut light = Vec3::ZERO;
+        let mut throughput = Vec3::ONE;
+        let mut channel = None;
+        let mut reached;
+        let mut footing = first;
+        debug_assert!(ray.direction.is_normalized());
+        for bounce in 0.. {
+            let [u0, u1, u2, u3] = sampler.next();
+            let mut parameters = footing.parameters;
+            if parameters.dispersion > 0.0 && parameters.transmission > 0.0 && parameters.thickness > 0.0 {
+                // A path is of one colour from the first dispersion on.
+                let channel = *channel.get_or_insert_with(|| {
+                    let channel = ((sampler.next()[0] * 3.0) as usize).min(2);
+                    throughput *= 3.0 * Vec3::AXES[channel];
+                    channel
+                });
+                parameters = parameters.dispersed(channel);
+            }
+            let bsdf = footing.bsdf(&parameters);
+            if !bsdf.is_specular() {
+                light += throughput * self.direct(footing, &bsdf, sampler, scratch);
+            }
+            let Some(sample) = bsdf.sample(Vec3::new(u0, u1, u2)) else { break };
+            let direction = footing.world(sample.direction);
+            if !footing.is_consistent(direction, sample.direction) {
+                break;
+            }
+            throughput *= sample.weight;
+            if bounce >= SURE_BOUNCES {
+                // The lesser the light that can still arrive, the likelier the end (Arvo and Kirk 1990).
+                let going_on = throughput.max_element().min(0.95);
+                if u3 >= going_on {
+                    break;
+                }
+                throughput /= going_on;
+            }
+            let ray = footing.leave(direction);
+            let segment = self.segment(&ray, sampler.next()[0], scratch);
+            light += throughput * segment.radiance;
+            let Some((hit, share)) = segment.next.filter(|_| throughput != Vec3::ZERO) else { break };
+            throughput *= share;
+            let is_inside = (sample.direction.z > 0.0) != footing.front;
+            if is_inside && parameters.thickness > 0.0 {
+                throughput *= parameters.attenuation(hit.distance as f32);
+            }
+            let length = footing.length + hit.distance as f32;
+            let point = SurfacePoint::new(&self.tracer.scene.meshes, &ray, &hit, self.ray_angle * length);
+            if point.material.unlit {
+                light += throughput * point.base_colour_and_coverage().0;
+                break;
+            }
+            let material = point.evaluate();
+            if material.emission != LinearRgb::default() {
+                let shared = sample.density.map_or(1.0, |density| {
+                    let cosine = direction.dot(material.geometric_normal.as_dvec3());
+                    power_heuristic(density, self.lights.emitter_density(hit.triangle, hit.distance, cosine))
+                });
+                light += throughput * shared * material.emission.0;
+            }
+            if bounce >= self.max_bounces {
+                break;
+            }
+            reached = Footing::new(&ray, &hit, &material, length);
+            footing = &reached;
+        }
+        if light.is_finite() { light } else { Vec3::ZERO }
+    }
+
+    /// Light that reaches the surface straight from lights and leaves it toward the eye.
+    fn direct(&self, footing: &Footing, bsdf: &Bsdf, sampler: &mut Sampler, scratch: &mut RayScratch) -> Vec3 {
+        let mut light = Vec3::ZERO;
+        if !self.lights.has_no_punctual() {
+            let random = sampler.next()[0];
+            if let Some(drawn) = self.lights.sample_punctual(footing.position.as_vec3(), random) {
+                let direction = drawn.incident.to_light.as_dvec3().normalize();
+                let irradiance = drawn.incident.irradiance.0 / drawn.probability;
+                let (response, _) = self.response(footing, bsdf, direction);
+                if response != Vec3::ZERO {
+                    let distance = f64::from(drawn.incident.distance);
+                    light += response * irradiance * self.visibility(&footing.leave(direction), distance, scratch);
+                }
+            }
+        }
+        if !self.lights.has_no_emitters() {
+            let [u0, u1, u2, _] = sampler.next();
+            light += self.from_emitter(footing, bsdf, [u0, u1, u2], scratch).unwrap_or(Vec3::ZERO);
+        }
+        light
+    }
+
+    fn from_emitter(&self, footing: &Footing, bsdf: &Bsdf, random: [f32; 3], scratch: &mut RayScratch) -> Option<Vec3> {
+        let drawn = self.lights.sample_emitter(random)?;
+        let offset = drawn.position - footing.position;
+        let direction = offset.try_normalize()?;
+        let (response, bsdf_density) = self.response(footing, bsdf, direction);
+        if response == Vec3::ZERO {
+            return None;
+        }
+        let ray = footing.leave(direction);
+        let hit = self.tracer.hit(&ray, drawn.triangle, f64::INFINITY)?;
+        let point = SurfacePoint::new(&self.tracer.scene.meshes, &ray, &hit, 0.0);
+        let cosine = direction.dot(point.geometric_normal.as_dvec3());
+        let density = self.lights.emitter_density(drawn.triangle, hit.distance, cosine);
+        if density <= 0.0 {
+            return None;
+        }
+        let (_, coverage) = point.base_colour_and_coverage();
+        let radiance = coverage * point.emission().0;
+        // Up to the emitter, without it.
+        let passed = self.visibility(&ray, hit.distance * (1.0 - LIFT), scratch);
+        Some(response * radiance * passed * power_heuristic(density, bsdf_density) / density)
+    }
+
+    /// BSDF times cosine, and its density.
+    fn response(&self, footing: &Footing, bsdf: &Bsdf, direction: DVec3) -> (Vec3, f32) {
+        let local = footing.local(direction);
+        if !footing.is_consistent(direction, local) {
+            return (Vec3::ZERO, 0.0);
+        }
+        let response = bsdf.evaluate(local);
+        (response.value, response.density)
+    }
+
+    fn visibility(&self, ray: &Ray, distance: f64, scratch: &mut RayScratch) -> f32 {
+        self.tracer.transmittance(ray, distance, scratch, |hit| self.coverage(ray, hit))
+    }
+
+    fn coverage(&self, ray: &Ray, hit: &SurfaceHit) -> f32 {
+        SurfacePoint::new(&self.tracer.scene.meshes, ray, hit, 0.0).base_colour_and_coverage().1
+    }
+
+    /// Follows a ray to its end. The surface that the path goes on from is drawn among those met with `random`, in [0, 1),
+    /// by what each contributes (a reservoir of one, Chao 1982).
+    fn segment(&self, ray: &Ray, mut random: f32, scratch: &mut RayScratch) -> Segment {
+        let mut next = None;
+        let mut total = 0.0;
+        let gathered = self.tracer.trace_with(ray, f64::INFINITY, scratch, |hit, transmittance| {
+            let alpha = if self.tracer.surfaces.is_opaque(hit.triangle) { 1.0 } else { self.coverage(ray, hit) };
+            let weight = transmittance as f32 * alpha;
+            if weight > 0.0 {
+                total += weight;
+                let probability = weight / total;
+                if random < probability {
+                    next = Some(*hit);
+                    random /= probability;
+                } else {
+                    random = (random - probability) / (1.0 - probability);
+                }
+            }
+            Fragment { alpha, radiance: LinearRgb::default() }
+        });
+        let scene = self.tracer.scene;
+        Segment { radiance: gathered.to_linear(scene.encoding, scene.background).0, next: next.map(|hit| (hit, total)) }
+    }
+}
+
+/// The share of a sample of density `own` where `other` could have drawn it, too.
+fn power_heuristic(own: f32, other: f32) -> f32 {
+    // As a ratio, since squares of narrow lobes' densities overflow.
+    let ratio = other / own;
+    1.0 / (1.0 + ratio * ratio)
+}

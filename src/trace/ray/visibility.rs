@@ -1,0 +1,103 @@
+//! How much light passes along a part of a ray. Transmittances multiply in any order, so nothing is sorted.
+
+use pulp::Simd;
+
+use super::responses::LaneResponse;
+use super::slabs::Slabs;
+use super::{RayScratch, RayTracer, bits};
+use crate::job::Order;
+use crate::trace::{Ray, SurfaceHit};
+
+impl RayTracer<'_> {
+    /// Share of light that passes everything along `ray` whose sort key is below `limit`. `alpha` says what a surface that
+    /// is not opaque holds back. Below the cut-off the share is some number below the cut-off.
+    pub fn transmittance(
+        &self,
+        ray: &Ray,
+        limit: f64,
+        scratch: &mut RayScratch,
+        alpha: impl FnMut(&SurfaceHit) -> f32,
+    ) -> f32 {
+        pulp::Arch::new().dispatch(SeeThrough { tracer: self, ray, limit, scratch, alpha })
+    }
+
+    #[inline(always)]
+    fn see_through<S: Simd>(
+        &self,
+        simd: S,
+        ray: &Ray,
+        limit: f64,
+        scratch: &mut RayScratch,
+        mut alpha: impl FnMut(&SurfaceHit) -> f32,
+    ) -> f32 {
+        let slabs = Slabs::new(ray, self.settings.order, self.settings.footprint);
+        let cutoff = f64::from(self.settings.t_cutoff);
+        let window = (limit as f32).next_up();
+        let mut transmittance = 1.0;
+        scratch.begin(ray.origin);
+        if !self.bvh.nodes.is_empty() {
+            scratch.open.push(0);
+        }
+        while let Some(index) = scratch.open.pop() {
+            let node = &self.bvh.nodes[index as usize];
+            let met = slabs.meet(node, window).now;
+            for lane in bits(met & !(node.nodes | node.gaussians)) {
+                let Some(hit) = self.hit(ray, node.index[lane], limit) else { continue };
+                if self.surfaces.is_opaque(hit.triangle) {
+                    scratch.responses.clear();
+                    return 0.0;
+                }
+                transmittance *= 1.0 - f64::from(alpha(&hit));
+            }
+            for lane in bits(met & node.gaussians) {
+                if scratch.responses.add(&self.scene.splats, node.index[lane], ray.origin) {
+                    transmittance *= self.batch_transmittance(simd, ray, limit, scratch);
+                }
+            }
+            if transmittance < cutoff || transmittance <= 0.0 {
+                scratch.responses.clear();
+                return transmittance as f32;
+            }
+            for lane in bits(met & node.nodes) {
+                scratch.open.push(node.index[lane]);
+            }
+        }
+        (transmittance * self.batch_transmittance(simd, ray, limit, scratch)) as f32
+    }
+
+    /// What passes the Gaussians in the batch, which is empty afterwards.
+    #[inline(always)]
+    fn batch_transmittance<S: Simd>(&self, simd: S, ray: &Ray, limit: f64, scratch: &mut RayScratch) -> f64 {
+        let near = f64::from(self.settings.t_near);
+        let mut transmittance = 1.0;
+        for lane in 0..scratch.responses.evaluate(simd, ray.direction, self.settings.footprint) {
+            let LaneResponse { response, mean_from_origin, .. } = scratch.responses.lane(lane);
+            let key = match self.settings.order {
+                Order::RayHitDistance => response.distance,
+                Order::CameraDistance => mean_from_origin.length(),
+            };
+            if response.contributes(near) && key < limit {
+                transmittance *= 1.0 - response.alpha;
+            }
+        }
+        transmittance
+    }
+}
+
+/// One ray at the machine's best instruction level.
+struct SeeThrough<'a, 'b, F> {
+    tracer: &'a RayTracer<'b>,
+    ray: &'a Ray,
+    limit: f64,
+    scratch: &'a mut RayScratch,
+    alpha: F,
+}
+
+impl<F: FnMut(&SurfaceHit) -> f32> pulp::WithSimd for SeeThrough<'_, '_, F> {
+    type Output = f32;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> f32 {
+        self.tracer.see_through(simd, self.ray, self.limit, self.scratch, self.alpha)
+    }
+}
