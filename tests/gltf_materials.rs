@@ -395,5 +395,30 @@ fn an_image_of_an_extension_serves_where_there_is_no_plain_one() {
     assert!(with_texture(webp(json!(3))).load().is_ok());
     assert!(with_texture(webp(json!("three"))).error().contains("/textures/0: EXT_texture_webp has no source"));
     let unknown = with_texture(json!({"extensions": {"VENDOR_image": {"source": 1}}})).error();
-    assert!(unknown.contains("has no PNG, JPEG or WebP source, only VENDOR_image"), "{unknown}");
+    assert!(unknown.contains("has no PNG, JPEG, WebP or KTX2 source, only VENDOR_image"), "{unknown}");
+}
+
+/// The files were made with Basis Universal's own encoder (npm ktx2-encoder 0.6.0) from 8 x 8 pixels: (200, 40, 0) left,
+/// (0, 40, 180) right, alpha 255 above and 128 below.
+#[test]
+fn basis_textures_decode_to_the_pixels_that_were_packed() {
+    for (bytes, tolerance) in
+        [(&include_bytes!("gltf_support/uastc.ktx2")[..], 2), (include_bytes!("gltf_support/etc1s.ktx2"), 12)]
+    {
+        let mut file = square_with(json!({"emissiveTexture": {"index": 0}, "emissiveFactor": [1, 1, 1]}));
+        let view = file.view(bytes);
+        file.json["images"][5] = json!({"bufferView": view, "mimeType": "image/ktx2"});
+        file.json["textures"][0] = json!({"extensions": {"KHR_texture_basisu": {"source": 5}}});
+        file.json["extensionsRequired"] = json!(["KHR_texture_basisu"]);
+        let (meshes, _) = file.load().unwrap();
+        let level = &meshes.textures[0].image.levels().unwrap()[0];
+        assert_eq!((level.width, level.height), (8, 8));
+        for (i, texel) in level.texels.iter().enumerate() {
+            let (x, y) = (i % 8, i / 8);
+            let [r, b] = if x < 4 { [200, 0] } else { [0, 180] };
+            let expected = [r, 40, b, if y < 4 { 255 } else { 128 }];
+            let off = texel.iter().zip(expected).map(|(found, expected)| (i32::from(*found) - expected).abs()).max();
+            assert!(off <= Some(tolerance), "({x}, {y}): {texel:?} is not {expected:?}");
+        }
+    }
 }

@@ -1,9 +1,10 @@
-//! PNG, JPEG, WebP and TGA to pixels, within limits that a hostile header cannot move.
+//! PNG, JPEG, WebP, TGA and KTX2 with Basis Universal to pixels, within limits that a hostile header cannot move.
 
 use std::io::Cursor;
 use std::ops::Deref;
 use std::path::Path;
 
+use basisu::{DecodeFlags, TargetFormat, Transcoder};
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
 use crate::job::MissingTexture;
@@ -29,6 +30,9 @@ const FREE_PIXELS: u64 = 2048 * 2048;
 /// What a TGA of version 2 ends with.
 const TGA_FOOTER: &[u8] = b"TRUEVISION-XFILE.\0";
 
+/// What a KTX2 file begins with.
+const KTX2_MAGIC: &[u8] = b"\xABKTX 20\xBB\r\n\x1A\n";
+
 /// What stands for an image that is missing or broken, where that is allowed.
 const MAGENTA: [u8; 4] = [255, 0, 255, 255];
 
@@ -38,6 +42,14 @@ pub struct ImageFiles {
     missing_texture: MissingTexture,
     /// What is wrong with the images that magenta stands for.
     pub replaced: Vec<String>,
+}
+
+/// How an image is packed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Format {
+    Image(ImageFormat),
+    /// KTX2 with Basis Universal, the content that KHR_texture_basisu allows.
+    Basis,
 }
 
 /// An image of which only the header has been read.
@@ -50,7 +62,7 @@ pub struct EncodedImage<B> {
     pub colour_type: ColorType,
     missing_texture: MissingTexture,
     /// The file's bytes; `None` where magenta stands for them.
-    encoded: Option<(B, ImageFormat)>,
+    encoded: Option<(B, Format)>,
     /// What is said about an image that cannot be decoded.
     broken: BrokenImage,
 }
@@ -87,20 +99,25 @@ impl ImageFiles {
 
     fn read_header<B: Deref<Target = [u8]>>(&mut self, path: &Path, here: &str, bytes: B) -> Result<EncodedImage<B>> {
         let format = match image::guess_format(&bytes) {
+            Err(_) if bytes.starts_with(KTX2_MAGIC) => Format::Basis,
             // TGA shows itself at its end.
-            Err(_) if bytes.ends_with(TGA_FOOTER) => ImageFormat::Tga,
-            format => format.map_err(|_| Error::invalid(path, here, "it is neither PNG, JPEG, WebP nor TGA"))?,
+            Err(_) if bytes.ends_with(TGA_FOOTER) => Format::Image(ImageFormat::Tga),
+            Err(_) => return Err(Error::invalid(path, here, "it is neither PNG, JPEG, WebP, TGA nor KTX2")),
+            Ok(known @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::WebP)) => Format::Image(known),
+            Ok(other) => {
+                let what = format!("{here} is {other:?}; convert it to PNG, JPEG or WebP");
+                return Err(Error::unsupported(path, what));
+            }
         };
-        if !matches!(format, ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::WebP | ImageFormat::Tga) {
-            let what = format!("{here} is {format:?}; convert it to PNG, JPEG or WebP");
-            return Err(Error::unsupported(path, what));
-        }
-        let (width, height, colour_type) = {
-            let header = decoder(&bytes, format);
-            let header = header.map_err(|e| Error::invalid(path, here, format!("it cannot be decoded: {e}")))?;
-            let (width, height) = header.dimensions();
-            (width, height, header.color_type())
+        let header = match format {
+            Format::Image(format) => decoder(&bytes, format).map_err(|e| e.to_string()).map(|header| {
+                let (width, height) = header.dimensions();
+                (width, height, header.color_type())
+            }),
+            Format::Basis => basis_size(&bytes).map(|(width, height)| (width, height, ColorType::Rgba8)),
         };
+        let (width, height, colour_type) =
+            header.map_err(|e| Error::invalid(path, here, format!("it cannot be decoded: {e}")))?;
         self.charge(path, u64::from(width) * u64::from(height), &bytes, here)?;
         let missing_texture = self.missing_texture;
         let broken = broken(path, here);
@@ -141,9 +158,15 @@ impl<B: Deref<Target = [u8]>> EncodedImage<B> {
     pub fn pixels(&self) -> std::result::Result<Pixels, BrokenImage> {
         let magenta = || vec![MAGENTA; self.width as usize * self.height as usize];
         let Some((bytes, format)) = &self.encoded else { return Ok(magenta()) };
-        let pixels = decoder(bytes, *format).and_then(DynamicImage::from_decoder).map(DynamicImage::into_rgba8);
-        match (pixels, self.missing_texture) {
-            (Ok(pixels), _) => Ok(bytemuck::cast_slice(pixels.as_raw()).to_vec()),
+        let rgba = match format {
+            Format::Image(format) => {
+                let pixels = decoder(bytes, *format).and_then(DynamicImage::from_decoder);
+                pixels.map(|pixels| pixels.into_rgba8().into_raw()).map_err(|e| e.to_string())
+            }
+            Format::Basis => basis_rgba(bytes),
+        };
+        match (rgba, self.missing_texture) {
+            (Ok(rgba), _) => Ok(bytemuck::cast_slice(&rgba).to_vec()),
             (Err(_), MissingTexture::Magenta) => Ok(magenta()),
             (Err(e), MissingTexture::Error) => {
                 Err(BrokenImage { what: format!("it cannot be decoded: {e}"), ..self.broken.clone() })
@@ -161,4 +184,20 @@ fn decoder(bytes: &[u8], format: ImageFormat) -> image::ImageResult<impl ImageDe
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     reader.limits(limits);
     reader.into_decoder()
+}
+
+/// Width and height of a KTX2 file.
+fn basis_size(bytes: &[u8]) -> std::result::Result<(u32, u32), String> {
+    let word = |at: usize| bytes.get(at..).and_then(<[u8]>::first_chunk).map(|word| u32::from_le_bytes(*word));
+    match (word(20), word(24)) {
+        (Some(width), Some(height)) if width.max(height) <= MAX_EDGE => Ok((width, height)),
+        (Some(width), Some(height)) => Err(format!("{width} x {height} pixels are more than {MAX_EDGE} a side")),
+        _ => Err("it ends in its header".into()),
+    }
+}
+
+/// Red, green, blue and alpha of the finest level of a KTX2 file.
+fn basis_rgba(bytes: &[u8]) -> std::result::Result<Vec<u8>, String> {
+    let texture = Transcoder::new(bytes).map_err(|e| e.to_string())?;
+    texture.transcode(0, TargetFormat::Rgba32, DecodeFlags::NONE).map_err(|e| e.to_string())
 }

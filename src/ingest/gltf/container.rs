@@ -26,7 +26,7 @@ pub fn is_gltf(bytes: &[u8]) -> bool {
 }
 
 /// Extensions that are implemented.
-const SUPPORTED: [&str; 23] = [
+const SUPPORTED: [&str; 24] = [
     "KHR_materials_anisotropy",
     "KHR_materials_clearcoat",
     "KHR_materials_dispersion",
@@ -41,6 +41,7 @@ const SUPPORTED: [&str; 23] = [
     "KHR_materials_variants",
     "KHR_materials_volume",
     "KHR_lights_punctual",
+    "KHR_texture_basisu",
     "KHR_texture_transform",
     "EXT_texture_webp",
     "EXT_meshopt_compression",

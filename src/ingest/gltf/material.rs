@@ -24,7 +24,7 @@ pub const UV_SETS: u32 = 2;
 
 /// Extensions of a texture that name another image for it, in the order in which they are taken when the texture has no
 /// plain PNG or JPEG.
-const SOURCE_EXTENSIONS: [&str; 1] = ["EXT_texture_webp"];
+const SOURCE_EXTENSIONS: [&str; 2] = ["EXT_texture_webp", "KHR_texture_basisu"];
 
 /// The materials and textures of one file that are in use, by their place in the file.
 pub struct Materials {
@@ -136,7 +136,7 @@ fn image_of(
     }
     let names: Vec<&str> = others.map(|(name, _)| name.as_str()).collect();
     let only = if names.is_empty() { String::new() } else { format!(", only {}", names.join(", ")) };
-    Err(asset.unsupported(format!("{texture} of {here} has no PNG, JPEG or WebP source{only}")))
+    Err(asset.unsupported(format!("{texture} of {here} has no PNG, JPEG, WebP or KTX2 source{only}")))
 }
 
 /// What a sampler leaves open is filtered as smoothly as possible. A filter that glTF does not know is one left open.
