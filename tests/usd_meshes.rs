@@ -162,7 +162,7 @@ fn shared_stages_are_those_that_openusd_finds() {
 
 #[test]
 fn textures_come_from_inside_a_package_and_the_right_way_up() {
-    for name in ["scene.usda", "scene.usdz"] {
+    for name in ["scene.usda", "scene.usdc", "scene.usdz"] {
         let (scene, report) = load_path(&fixture(name)).unwrap();
         let meshes = &scene.meshes;
         let of_image = meshes.materials.iter().find(|it| it.name.ends_with("/Image")).unwrap();
@@ -557,7 +557,7 @@ fn faults_are_errors_that_name_prim_and_attribute() {
         (square("Q", "uniform token orientation = \"up\""), "orientation up"),
         (square("Q", "normal3f[] normals = [(0, 0, 1)]"), "normals has 1 values where 4 are needed"),
         (square("Q", "float[] normals = [1]"), "normals is not an array of 3"),
-        (square("Q", "normal3f[] normals = [(0, 0, 1)] (interpolation = \"often\")"), "interpolation often"),
+        (square("Q", "normal3f[] normals = [(0, 0, 1)] (interpolation = \"often\")"), "interpolation 'often'"),
         (
             square("Q", "color3f[] primvars:displayColor = [(0, 0, 1)]\nint[] primvars:displayColor:indices = [7]"),
             "displayColor:indices has 7",

@@ -6,10 +6,11 @@
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
-use openusd::sdf::{Path, Value};
+use openusd::sdf::Path;
 use openusd::usd::{Collection, MembershipQuery, Prim, is_collection_api_path};
 
 use super::OpenedStage;
+use super::values::name_of;
 use crate::Result;
 
 /// Purposes in the order in which they are asked: what final renders use, what has no purpose, what previews use.
@@ -87,8 +88,8 @@ impl Binding {
             }
             _ => return Ok(None),
         };
-        let strength = stage.metadata(prim, relationship.path(), "bindMaterialAs")?;
-        let stronger_than_descendants = matches!(strength, Some(Value::Token(it)) if it == "strongerThanDescendants");
+        let strength = stage.metadata(prim, relationship.path(), "bindMaterialAs")?.and_then(name_of);
+        let stronger_than_descendants = strength.as_deref() == Some("strongerThanDescendants");
         Ok(Some(Self { purpose: purpose.to_owned(), members, material, stronger_than_descendants }))
     }
 }

@@ -156,8 +156,10 @@ impl Mesh {
         for &count in &self.topology.counts {
             let points = &self.topology.corners[first..first + count];
             first += count;
+            // From a corner of the face, so that what is far from the origin keeps its digits.
+            let corner = |&point: &usize| self.positions[point] - self.positions[points[0]];
             let around = points.iter().zip(points.iter().cycle().skip(1));
-            let area: DVec3 = around.map(|(&a, &b)| self.positions[a].cross(self.positions[b])).sum();
+            let area: DVec3 = around.map(|(a, b)| corner(a).cross(corner(b))).sum();
             points.iter().for_each(|&point| sums[point] += area);
         }
         let facing = if self.left_handed { -1.0 } else { 1.0 };

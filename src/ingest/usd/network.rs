@@ -5,7 +5,7 @@ use openusd::sdf::Value;
 use openusd::usd::{Attribute, Prim};
 
 use super::OpenedStage;
-use super::values::numbers;
+use super::values::{name_of, numbers};
 use crate::Result;
 use crate::scene::texture::Wrap;
 
@@ -122,12 +122,8 @@ fn parameter(stage: &OpenedStage, shader: &Prim, name: &str) -> Result<Option<Va
 
 /// A parameter that is a name.
 fn name_parameter(stage: &OpenedStage, shader: &Prim, name: &str) -> Result<Option<String>> {
-    match parameter(stage, shader, name)? {
-        None => Ok(None),
-        Some(Value::Token(name)) => Ok(Some(name.to_string())),
-        Some(Value::String(name)) => Ok(Some(name)),
-        Some(_) => Err(stage.invalid(shader, format!("inputs:{name} is not a name"))),
-    }
+    let Some(value) = parameter(stage, shader, name)? else { return Ok(None) };
+    name_of(value).map(Some).ok_or_else(|| stage.invalid(shader, format!("inputs:{name} is not a name")))
 }
 
 /// A parameter of `N` numbers.

@@ -1,11 +1,10 @@
 //! Values over the surface of a mesh (primvars and normals), for each corner of each face.
 
-use openusd::sdf::Value;
 use openusd::usd::{Attribute, Prim};
 
 use super::OpenedStage;
 use super::mesh::Topology;
-use super::values::integers;
+use super::values::{integers, name_of};
 use crate::Result;
 
 /// What has a value of its own (UsdGeomPrimvar). On meshes `varying` is the same as `vertex`.
@@ -127,16 +126,13 @@ fn interpolation(
     attribute: &Attribute,
     unauthored: Interpolation,
 ) -> Result<Interpolation> {
-    let name = match stage.ask(prim, attribute.get_metadata::<Value>("interpolation"))? {
-        None => return Ok(unauthored),
-        Some(Value::Token(name)) => name.to_string(),
-        Some(other) => format!("{other:?}"),
-    };
+    let Some(value) = stage.metadata(prim, attribute.path(), "interpolation")? else { return Ok(unauthored) };
+    let name = name_of(value).unwrap_or_default();
     Ok(match name.as_str() {
         "constant" => Interpolation::Constant,
         "uniform" => Interpolation::Uniform,
         "vertex" | "varying" => Interpolation::Vertex,
         "faceVarying" => Interpolation::FaceVarying,
-        _ => return Err(stage.invalid(prim, format!("interpolation {name} is none that USD knows"))),
+        _ => return Err(stage.invalid(prim, format!("interpolation '{name}' is none that USD knows"))),
     })
 }

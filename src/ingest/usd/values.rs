@@ -62,3 +62,12 @@ pub fn integers(value: Value) -> Option<Vec<i64>> {
         _ => return None,
     })
 }
+
+/// The text of a token, or of a string: text layers do not tell which of the two metadata are.
+pub fn name_of(value: Value) -> Option<String> {
+    match value {
+        Value::Token(name) => Some(name.to_string()),
+        Value::String(name) => Some(name),
+        _ => None,
+    }
+}
