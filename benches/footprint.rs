@@ -19,7 +19,7 @@ use splatprobe::generate::{InteriorSettings, ROOM, interior};
 use splatprobe::job::{self, SplatInput};
 use splatprobe::scene::{Scene, colour};
 use splatprobe::shade::UnlitSurfaces;
-use splatprobe::trace::{BeamTracer, Footprint, Level, TraceSettings};
+use splatprobe::trace::{BeamTracer, Footprint, TraceSettings};
 use splatprobe::{ingest, place};
 
 /// Widths of `pixel` to try, in texels.
@@ -71,7 +71,7 @@ fn error(seen: &[f32], truth: &[f32]) -> String {
 fn cube(scene: &Scene, bvh: &Bvh, probe: DVec3, footprint: Footprint, face_size: u32, samples: u32) -> Vec<f32> {
     let surfaces = UnlitSurfaces::new(&scene.meshes);
     let settings = TraceSettings { footprint, ..TraceSettings::default() };
-    let tracer = BeamTracer { scene, bvh, surfaces: &surfaces, settings, level: Level::best() };
+    let tracer = BeamTracer::new(scene, bvh, &surfaces, settings);
     let probes = place::list(&[probe], None, 0.0).expect("a finite position");
     let settings = BakeSettings { face_size, samples, distance: false, edge_texels: false };
     let values = Mutex::new(Vec::new());

@@ -78,7 +78,7 @@ fn measure(scene: &Scene, bvh: &Bvh, probe: DVec3, case: &str, arguments: &Argum
         }
     }
     let surfaces = UnlitSurfaces::new(&scene.meshes);
-    let beam = BeamTracer { scene, bvh, surfaces: &surfaces, settings, level };
+    let beam = BeamTracer { level, ..BeamTracer::new(scene, bvh, &surfaces, settings) };
     let ray = RayTracer { scene, bvh, surfaces: &surfaces, settings };
     let tracer: &dyn TileTracer = if tracer == "ray" { &ray } else { &beam };
 

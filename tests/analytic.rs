@@ -17,7 +17,7 @@ use splatprobe::job::{Footprint, Frame, Job, MeshInput, Pixel, Placement, SplatI
 use splatprobe::pipeline;
 use splatprobe::scene::{Scene, colour};
 use splatprobe::trace::{
-    BeamTracer, Face, Level, Radiance, Ray, RayTracer, ReferenceTracer, Tile, TileTracer, TraceSettings,
+    BeamTracer, Face, Radiance, Ray, RayTracer, ReferenceTracer, Tile, TileTracer, TraceSettings,
 };
 
 const TRACERS: [Tracer; 3] = [Tracer::Reference, Tracer::Ray, Tracer::Beam];
@@ -275,7 +275,7 @@ fn a_direction_on_an_edge_is_the_same_from_both_faces() {
     let tracers: [&dyn TileTracer; 3] = [
         &ReferenceTracer { scene, surfaces, settings },
         &RayTracer { scene, bvh: &bvh, surfaces, settings },
-        &BeamTracer { scene, bvh: &bvh, surfaces, settings, level: Level::best() },
+        &BeamTracer::new(scene, &bvh, surfaces, settings),
     ];
     // The outermost texel centres of faces so large lie 5e-10 from the edge, and as far from each other along it.
     const FACE_SIZE: u32 = 1 << 30;

@@ -43,7 +43,7 @@ fn a_linear_gaussian_adds_to_linear_light_and_a_display_one_is_decoded_after_ble
     let tile = Tile { face: Face::NegZ, face_size: 3, x: 0, y: 0, width: 3, height: 3 };
     let beam = |level| {
         let mut texels = [Radiance::default(); 9];
-        BeamTracer { scene: &scene, bvh: &bvh, surfaces: &NoSurfaces, settings, level }.trace_tile(
+        BeamTracer { level, ..BeamTracer::new(&scene, &bvh, &NoSurfaces, settings) }.trace_tile(
             DVec3::ZERO,
             &tile,
             &mut texels,

@@ -99,7 +99,7 @@ fn one_round_gaussian_is_widened_in_closed_form() {
         let tracers: [&dyn TileTracer; 3] = [
             &ReferenceTracer { scene, surfaces, settings },
             &RayTracer { scene, bvh: &bvh, surfaces, settings },
-            &BeamTracer { scene, bvh: &bvh, surfaces, settings, level: Level::best() },
+            &BeamTracer::new(scene, &bvh, surfaces, settings),
         ];
         for tracer in tracers {
             let mut seen_by = 0;
@@ -183,7 +183,7 @@ fn the_tracers_agree_on_three_scenes_under_both_footprints() {
         for footprint in both(64) {
             let settings = settings(footprint, Order::RayHitDistance);
             let ray = RayTracer { scene, bvh: &bvh, surfaces, settings };
-            let beam = BeamTracer { scene, bvh: &bvh, surfaces, settings, level: Level::best() };
+            let beam = BeamTracer::new(scene, &bvh, surfaces, settings);
             let truth = ReferenceTracer { scene, surfaces, settings };
             let tiles = random_texels(64, 400);
             assert_same(&format!("{name}, ray"), scene, [&ray, &truth], settings, (origin, &tiles), rms);
@@ -209,7 +209,7 @@ fn gaussians_far_smaller_than_a_texel_are_found_in_every_order_at_every_level() 
                 let ray = RayTracer { scene, bvh: &bvh, surfaces, settings };
                 assert_same("ray", scene, [&ray, &truth], settings, (origin, &tiles), 2e-5);
                 for level in Level::available() {
-                    let beam = BeamTracer { scene, bvh: &bvh, surfaces, settings, level };
+                    let beam = BeamTracer { level, ..BeamTracer::new(scene, &bvh, surfaces, settings) };
                     assert_same(level.name(), scene, [&beam, &truth], settings, (origin, &tiles), 2e-5);
                 }
             }
@@ -226,7 +226,7 @@ fn what_a_face_sees_beyond_its_edge_is_what_its_neighbour_sees() {
     let beyond = Face::ALL.map(|face| Tile { face, face_size: 32, x: 32, y: 0, width: 4, height: 32 });
     for footprint in both(32) {
         let settings = settings(footprint, Order::RayHitDistance);
-        let beam = BeamTracer { scene, bvh: &bvh, surfaces, settings, level: Level::best() };
+        let beam = BeamTracer::new(scene, &bvh, surfaces, settings);
         // It knows rays, not faces.
         let ray = RayTracer { scene, bvh: &bvh, surfaces, settings };
         assert_same("beyond", scene, [&beam, &ray], settings, (DVec3::ZERO, &beyond), 1e-6);

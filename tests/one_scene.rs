@@ -15,7 +15,7 @@ use splatprobe::place;
 use splatprobe::scene::colour::linear_to_srgb;
 use splatprobe::scene::{Scene, sh};
 use splatprobe::shade::UnlitSurfaces;
-use splatprobe::trace::{BeamTracer, Level, TraceSettings};
+use splatprobe::trace::{BeamTracer, TraceSettings};
 
 // Its `main` is the example's.
 #[expect(dead_code)]
@@ -63,13 +63,7 @@ fn load(name: &str, frame: Option<&str>) -> Scene {
 fn bake(mut scene: Scene) -> Vec<f64> {
     let bvh = Bvh::build(&mut scene);
     let surfaces = UnlitSurfaces::new(&scene.meshes);
-    let tracer = BeamTracer {
-        scene: &scene,
-        bvh: &bvh,
-        surfaces: &surfaces,
-        settings: TraceSettings::default(),
-        level: Level::best(),
-    };
+    let tracer = BeamTracer::new(&scene, &bvh, &surfaces, TraceSettings::default());
     let positions = [DVec3::new(0.3, -0.2, 0.1), DVec3::new(-0.7, 0.5, 0.6)];
     let probes = place::list(&positions, None, 0.0).expect("probes");
     let settings = BakeSettings { face_size: 32, samples: 1, distance: false, edge_texels: false };

@@ -7,7 +7,7 @@ use glam::{DQuat, DVec3, Vec3};
 use splatprobe::bvh::Bvh;
 use splatprobe::scene::Scene;
 use splatprobe::trace::{
-    BeamTracer, Face, Level, Radiance, Ray, RayTracer, ReferenceTracer, Surfaces, Tile, TileTracer, TraceSettings,
+    BeamTracer, Face, Radiance, Ray, RayTracer, ReferenceTracer, Surfaces, Tile, TileTracer, TraceSettings,
 };
 
 /// Traces all six faces of `size` texels with both production tracers and the reference; returns the largest difference
@@ -17,7 +17,7 @@ fn worst(scene: &Scene, bvh: &Bvh, surfaces: &dyn Surfaces, origin: DVec3, size:
     let settings = TraceSettings { t_cutoff: 0.0, ..TraceSettings::default() };
     let truth = ReferenceTracer { scene, surfaces, settings };
     let ray = RayTracer { scene, bvh, surfaces, settings };
-    let beam = BeamTracer { scene, bvh, surfaces, settings, level: Level::best() };
+    let beam = BeamTracer::new(scene, bvh, surfaces, settings);
     let mut worst = 0.0f32;
     for face in Face::ALL {
         let tile = Tile { face, face_size: size, x: 0, y: 0, width: size, height: size };
@@ -119,11 +119,7 @@ fn a_wall_of_fully_transparent_gaussians_is_not_there() {
     let tile = Tile { face: Face::NegZ, face_size: 8, x: 0, y: 0, width: 8, height: 8 };
     let mut texels = vec![Radiance::default(); 64];
     let settings = TraceSettings::default();
-    BeamTracer { scene: &scene, bvh: &bvh, surfaces: &NoSurfaces, settings, level: Level::best() }.trace_tile(
-        DVec3::ZERO,
-        &tile,
-        &mut texels,
-    );
+    BeamTracer::new(&scene, &bvh, &NoSurfaces, settings).trace_tile(DVec3::ZERO, &tile, &mut texels);
     assert!(texels.iter().all(|texel| texel.transmittance == 1.0));
 }
 

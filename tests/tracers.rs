@@ -11,9 +11,10 @@ use splatprobe::ingest::load_scene;
 use splatprobe::job::{Job, Order, ShDirection};
 use splatprobe::scene::{Scene, colour};
 use splatprobe::shade::UnlitSurfaces;
+use splatprobe::trace::gaussian::response;
 use splatprobe::trace::ray::RayScratch;
 use splatprobe::trace::{
-    BeamTracer, Face, Level, Radiance, Ray, RayTracer, ReferenceTracer, Surfaces, Tile, TileTracer, TraceSettings,
+    BeamTracer, Counters, Face, Level, Radiance, Ray, RayTracer, ReferenceTracer, Surfaces, Tile, TileTracer, TraceSettings,
 };
 
 /// Largest difference of two results over colour in display space, coverage, and mean distance relative to itself.
@@ -140,7 +141,7 @@ fn beam_equals_ray_at_every_level_order_and_colour_direction() {
                 for origin in [DVec3::ZERO, DVec3::new(3.0, 2.0, -5.0)] {
                     for t_cutoff in [0.0, 1e-3] {
                         let settings = TraceSettings { order, sh_direction, t_cutoff, ..TraceSettings::default() };
-                        let beam = BeamTracer { scene: &scene, bvh: &bvh, surfaces: &surfaces, settings, level };
+                        let beam = BeamTracer { level, ..BeamTracer::new(&scene, &bvh, &surfaces, settings) };
                         let ray = RayTracer { scene: &scene, bvh: &bvh, surfaces: &surfaces, settings };
                         let seen = compare_tiles(&scene, &beam, &ray, origin);
                         let (rms, max) = (seen.rms(), seen.max);
@@ -196,7 +197,7 @@ fn four_thousand_pixels_of_three_scenes_equal_the_reference() {
         let surfaces: &dyn Surfaces = if patterned { &pattern } else { &unlit };
         let settings = TraceSettings { t_cutoff: 0.0, ..TraceSettings::default() };
         let ray = RayTracer { scene, bvh: &bvh, surfaces, settings };
-        let beam = BeamTracer { scene, bvh: &bvh, surfaces, settings, level: Level::best() };
+        let beam = BeamTracer::new(scene, &bvh, surfaces, settings);
         let truth = ReferenceTracer { scene, surfaces, settings };
         for (tracer, seen) in ["ray", "beam"].iter().zip(compare_pixels(scene, &[&ray, &beam], &truth, origin)) {
             println!("{name}, {tracer}: rms {:e}, max {:e}, {} jumps", seen.rms(), seen.max, seen.jumps);
@@ -204,4 +205,40 @@ fn four_thousand_pixels_of_three_scenes_equal_the_reference() {
             assert!(seen.jumps * 20 < seen.texels, "{name}, {tracer}: {} jumps", seen.jumps);
         }
     }
+}
+
+#[test]
+fn counters_count_every_response_and_every_gaussian_that_responds() {
+    let mut scene = Scene { splats: cloud(500, [0.05, 0.4], 1, 7), ..Scene::default() };
+    let bvh = Bvh::build(&mut scene);
+    let settings = TraceSettings { t_cutoff: 0.0, ..TraceSettings::default() };
+    let origin = DVec3::new(0.1, 0.2, -0.3);
+    let tile = Tile { face: Face::PosX, face_size: 40, x: 0, y: 0, width: 40, height: 40 };
+    let (mut responses, mut seen) = (0, vec![false; scene.splats.len()]);
+    for direction in tile.directions() {
+        for (i, seen) in seen.iter_mut().enumerate() {
+            let m = scene.splats.unit_from_world[i].as_dmat3();
+            let mean = scene.splats.means[i].as_dvec3() - origin;
+            let contributes = response(&m, f64::from(scene.splats.opacities[i]), mean, direction).contributes(0.0);
+            responses += usize::from(contributes);
+            *seen |= contributes;
+        }
+    }
+    let counters = Counters::new(scene.splats.len());
+    let silent = BeamTracer::new(&scene, &bvh, &NoSurfaces, settings);
+    let counting = BeamTracer { counters: Some(&counters), ..BeamTracer::new(&scene, &bvh, &NoSurfaces, settings) };
+    let [mut texels, mut counted] = [vec![Radiance::default(); tile.len()], vec![Radiance::default(); tile.len()]];
+    silent.trace_tile(origin, &tile, &mut texels);
+    counting.trace_tile(origin, &tile, &mut counted);
+    assert_eq!(texels, counted);
+    let report = counters.report();
+    // 40 texels are 10 narrow blocks a side: four tiles of at most 8.
+    assert_eq!((report.rays, report.tiles, report.fallback_rays, report.gaussians), (1600, 4, 0, 500));
+    // Responses at the threshold may fall on either side of it in f32.
+    let counted = report.contributions_per_ray * 1600.0;
+    assert!((counted - responses as f64).abs() <= 2e-4 * responses as f64, "{counted} of {responses}");
+    assert!(report.evaluations_per_ray >= report.contributions_per_ray && report.lanes_used > 0.05);
+    let responding = seen.iter().filter(|&&seen| seen).count();
+    assert!(report.gaussians_touched >= responding && responding > 50, "{report:?}, {responding}");
+    assert!(report.candidates_per_tile * 4.0 >= report.gaussians_touched as f64);
 }

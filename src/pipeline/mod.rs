@@ -25,7 +25,9 @@ use crate::place::{Sight, signal};
 use crate::scene::{LinearRgb, Scene};
 use crate::shade::{PathSettings, PathSurfaces, UnlitSurfaces};
 use crate::trace::footprint;
-use crate::trace::{BeamTracer, Footprint, Level, RayTracer, ReferenceTracer, Surfaces, TileTracer, TraceSettings};
+use crate::trace::{
+    BeamTracer, CounterReport, Counters, Footprint, RayTracer, ReferenceTracer, Surfaces, TileTracer, TraceSettings,
+};
 use crate::{Error, Result};
 
 pub use output::PREVIEW_FILE;
@@ -46,6 +48,9 @@ pub struct BakeReport {
     pub clamped_values: usize,
     /// Wall clock time by stage.
     pub seconds: Seconds,
+    /// What the beam tracer did for the probes' cubemaps.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub beam: Option<CounterReport>,
 }
 
 /// Wall clock time by stage, in seconds.
@@ -121,7 +126,7 @@ fn run(asked: &Job, job: &Job, progress: &dyn Progress, cancel: &AtomicBool) -> 
                 settings: TraceSettings { order: Order::RayHitDistance, ..rules },
             },
         },
-        tiles: &BeamTracer { scene: &scene, bvh: &bvh, surfaces: &unlit, settings: rules, level: Level::best() },
+        tiles: &BeamTracer::new(&scene, &bvh, &unlit, rules),
     };
     let placed = place_probes(&job.placement, scene_report.robust_bounds(), &sight, cancel)?;
     let probes = &placed.probes;
@@ -134,7 +139,8 @@ fn run(asked: &Job, job: &Job, progress: &dyn Progress, cancel: &AtomicBool) -> 
         PathSurfaces::new(&scene, &bvh, rules, settings, &origins).for_rays_of(ray_angle)
     });
     let surfaces: &dyn Surfaces = lit.as_ref().map_or(&unlit, |lit| lit);
-    let tracer = tracer(job, rules, &scene, &bvh, surfaces);
+    let counters = (job.stats.is_some() && job.tracer == Tracer::Beam).then(|| Counters::new(scene.splats.len()));
+    let tracer = tracer(job, rules, &scene, &bvh, surfaces, counters.as_ref());
     let mut output = Output::begin(job, probes.len())?;
     placed.picture.iter().try_for_each(|picture| output.write_plan(picture))?;
     let (face_size, samples) = (job.face_size, job.samples);
@@ -168,6 +174,7 @@ fn run(asked: &Job, job: &Job, progress: &dyn Progress, cancel: &AtomicBool) -> 
         probes: count,
         rays: count as u64 * rays_per_probe,
         clamped_values: published.clamped_values,
+        beam: counters.as_ref().map(Counters::report),
         seconds: Seconds {
             load: (loaded - begun).as_secs_f64(),
             build: (built - loaded).as_secs_f64(),
@@ -188,12 +195,13 @@ fn tracer<'a>(
     scene: &'a Scene,
     bvh: &'a Bvh,
     surfaces: &'a dyn Surfaces,
+    counters: Option<&'a Counters>,
 ) -> Box<dyn TileTracer + 'a> {
     if job.calibration {
         return Box::new(Calibration);
     }
     match job.tracer {
-        Tracer::Beam => Box::new(BeamTracer { scene, bvh, surfaces, settings, level: Level::best() }),
+        Tracer::Beam => Box::new(BeamTracer { counters, ..BeamTracer::new(scene, bvh, surfaces, settings) }),
         Tracer::Ray => Box::new(RayTracer { scene, bvh, surfaces, settings }),
         Tracer::Reference => Box::new(ReferenceTracer { scene, surfaces, settings }),
     }

@@ -3,6 +3,7 @@
 mod batch;
 pub mod beam;
 pub mod composite;
+pub mod counters;
 pub mod cube;
 pub mod footprint;
 pub mod gaussian;
@@ -18,6 +19,7 @@ use crate::scene::LinearRgb;
 
 pub use beam::BeamTracer;
 pub use composite::Radiance;
+pub use counters::{CounterReport, Counters};
 pub use cube::Face;
 pub use footprint::Footprint;
 pub use level::Level;

@@ -17,6 +17,7 @@ use pulp::{Simd, WithSimd};
 use self::block::{Block, NARROW, WIDE, edge};
 use self::shade::Shader;
 use self::walk::Walk;
+use super::counters::{Counters, Tally};
 use super::level::Level;
 use super::ray::RayScratch;
 use super::{Radiance, Ray, RayTracer, Surfaces, Tile, TileTracer, TraceSettings};
@@ -42,6 +43,15 @@ pub struct BeamTracer<'a> {
     pub settings: TraceSettings,
     /// Instruction level of the kernels.
     pub level: Level,
+    /// Where to count what is done, if that is asked for.
+    pub counters: Option<&'a Counters>,
+}
+
+impl<'a> BeamTracer<'a> {
+    /// A tracer at the machine's best level that counts nothing.
+    pub fn new(scene: &'a Scene, bvh: &'a Bvh, surfaces: &'a dyn Surfaces, settings: TraceSettings) -> Self {
+        Self { scene, bvh, surfaces, settings, level: Level::best(), counters: None }
+    }
 }
 
 impl TileTracer for BeamTracer<'_> {
@@ -73,19 +83,22 @@ impl<const N: usize> WithSimd for TraceTile<'_, '_, N> {
             for x in (0..tile.width).step_by(part_edge as usize) {
                 let (width, height) = (part_edge.min(tile.width - x), part_edge.min(tile.height - y));
                 let part = Tile { x: tile.x + x as i32, y: tile.y + y as i32, width, height, ..*tile };
-                let blocks = tracer.blocks::<S, N>(simd, origin, &part);
+                let (blocks, mut tally) = tracer.blocks::<S, N>(simd, origin, &part);
                 let row_length = tile.width as usize;
                 let first = y as usize * row_length + x as usize;
-                tracer.collect(origin, &part, &blocks, &mut texels[first..], row_length);
+                tally.fallback_rays = tracer.collect(origin, &part, &blocks, &mut texels[first..], row_length);
+                if let Some(counters) = tracer.counters {
+                    counters.add_tile(part.len(), tally);
+                }
             }
         }
     }
 }
 
 impl BeamTracer<'_> {
-    /// Traces a tile that 8 x 8 blocks cover; gives those blocks.
+    /// Traces a tile that 8 x 8 blocks cover; gives those blocks, and what was done.
     #[inline(always)]
-    fn blocks<S: Simd, const N: usize>(&self, simd: S, origin: DVec3, tile: &Tile) -> Vec<Block<N>> {
+    fn blocks<S: Simd, const N: usize>(&self, simd: S, origin: DVec3, tile: &Tile) -> (Vec<Block<N>>, Tally) {
         let positions = (0..BLOCKS_PER_ROW * BLOCKS_PER_ROW).map(|i| (i % BLOCKS_PER_ROW, i / BLOCKS_PER_ROW));
         let mut blocks: Vec<Block<N>> =
             positions.map(|(x, y)| Block::new(tile, x * edge(N), y * edge(N), self.settings.t_near)).collect();
@@ -97,14 +110,16 @@ impl BeamTracer<'_> {
             let bound = walk.gather(simd, live);
             shader.shade_chunk(simd, &mut blocks, &walk.chunk, bound, &mut live);
             if bound == f32::INFINITY || live == 0 {
-                return blocks;
+                let mut tally = walk.tally;
+                tally += shader.tally;
+                return (blocks, tally);
             }
             walk.chunk.clear();
         }
     }
 
     /// Reads the finished blocks out to `texels`, whose rows are `row_length` long; blocks that overflowed go through the
-    /// ray tracer.
+    /// ray tracer. Returns how many rays did.
     fn collect<const N: usize>(
         &self,
         origin: DVec3,
@@ -112,7 +127,8 @@ impl BeamTracer<'_> {
         blocks: &[Block<N>],
         texels: &mut [Radiance],
         row_length: usize,
-    ) {
+    ) -> u64 {
+        let mut fallback_rays = 0;
         let exact = RayTracer { scene: self.scene, bvh: self.bvh, surfaces: self.surfaces, settings: self.settings };
         let mut scratch = None;
         for (y, row) in (0..tile.height).zip(texels.chunks_mut(row_length)) {
@@ -120,10 +136,12 @@ impl BeamTracer<'_> {
                 let block = &blocks[(y / edge(N) * BLOCKS_PER_ROW + x / edge(N)) as usize];
                 let lane = y % edge(N) * edge(N) + x % edge(N);
                 *texel = block.radiance(lane as usize).unwrap_or_else(|| {
+                    fallback_rays += 1;
                     let ray = Ray { origin, direction: tile.direction(x, y) };
                     exact.trace(&ray, scratch.get_or_insert_with(RayScratch::default))
                 });
             }
         }
+        fallback_rays
     }
 }

@@ -9,6 +9,7 @@ use super::project::{Candidate, LOG2_ALPHA_MIN};
 use crate::job::{Order, ShDirection};
 use crate::scene::sh;
 use crate::scene::splats::ALPHA_MAX;
+use crate::trace::counters::Tally;
 use crate::trace::{Ray, SurfaceHit, Tile, triangle};
 
 /// Candidates that a block evaluates before it looks which of them come next: enough for their arithmetic to overlap,
@@ -25,11 +26,20 @@ pub(super) struct Shader<'a, const N: usize> {
     /// Colours of entries whose lanes differ.
     lane_colours: Vec<[Lanes<N>; 3]>,
     desks: Vec<Box<Desk<N>>>,
+    pub tally: Tally,
 }
 
 impl<'a, const N: usize> Shader<'a, N> {
     pub fn new(tracer: &'a BeamTracer<'a>, origin: DVec3, tile: &Tile) -> Self {
-        Self { tracer, origin, tile: *tile, lists: vec![Vec::new(); 64], lane_colours: Vec::new(), desks: Vec::new() }
+        Self {
+            tracer,
+            origin,
+            tile: *tile,
+            lists: vec![Vec::new(); 64],
+            lane_colours: Vec::new(),
+            desks: Vec::new(),
+            tally: Tally::default(),
+        }
     }
 
     /// Shades `chunk` in all live blocks. `bound` is a lower bound on the keys of all candidates after the chunk; `live`
@@ -138,6 +148,7 @@ impl<'a, const N: usize> Shader<'a, N> {
                 entry.alpha.set::<S>(v, zero);
                 continue;
             }
+            self.tally.evaluations += S::F32_LANES as u64;
             let (x, y) = (block.x.get::<S>(v), block.y.get::<S>(v));
             let u = affine(simd, u, x, y);
             let h = affine(simd, h, x, y);
@@ -168,6 +179,9 @@ impl<'a, const N: usize> Shader<'a, N> {
             return key_min;
         }
         entry.key_max = simd.reduce_max_f32s(key_max);
+        if self.tracer.counters.is_some() {
+            self.tally.contributions += entry.alpha.0.iter().filter(|&&alpha| alpha > 0.0).count() as u64;
+        }
         let linear = self.tracer.scene.splats.is_linear(candidate.index as usize);
         entry.colour = match (self.tracer.settings.sh_direction, linear) {
             (ShDirection::Mean, false) => Colour::Splat(candidate.colour),

@@ -12,6 +12,7 @@ use super::project::{Candidate, Projection};
 use crate::bvh::{Child, WIDTH};
 use crate::job::ShDirection;
 use crate::scene::sh;
+use crate::trace::counters::Tally;
 use crate::trace::{Tile, TraceSettings};
 
 /// Candidates that are worth a round of shading. More amortise the dealing to blocks, fewer stop sooner behind an opaque
@@ -42,6 +43,7 @@ pub(super) struct Walk<'a> {
     free: Vec<u32>,
     /// Candidates to shade.
     pub chunk: Vec<Candidate>,
+    pub tally: Tally,
 }
 
 /// What begins behind the window.
@@ -76,6 +78,7 @@ impl<'a> Walk<'a> {
             projected: Vec::new(),
             free: Vec::new(),
             chunk: Vec::with_capacity(CHUNK),
+            tally: Tally::default(),
         }
     }
 
@@ -126,8 +129,7 @@ impl<'a> Walk<'a> {
                     self.free.push(slot);
                     if seen {
                         let candidate = self.projected[slot as usize];
-                        self.chunk.push(candidate);
-                        self.colour_last();
+                        self.choose(candidate);
                     }
                 }
             }
@@ -137,6 +139,7 @@ impl<'a> Walk<'a> {
 
     #[inline(always)]
     fn open_node<S: Simd>(&mut self, simd: S, node: u32, live: u64) {
+        self.tally.nodes += 1;
         let wide = &self.tracer.bvh.nodes[node as usize];
         let seen = self.frustum.meet(wide);
         for lane in 0..WIDTH {
@@ -189,8 +192,7 @@ impl<'a> Walk<'a> {
             return;
         }
         if candidate.key_low < self.window {
-            self.chunk.push(candidate);
-            self.colour_last();
+            self.choose(candidate);
             return;
         }
         let slot = match self.free.pop() {
@@ -206,11 +208,16 @@ impl<'a> Walk<'a> {
         self.later.push(Later { key: candidate.key_low, what: Waiting::Projected(slot), blocks });
     }
 
-    /// Evaluates the colour of the chunk's last candidate, now that it is known to be seen.
+    /// Adds a candidate to the chunk, with its colour, now that it is known to be seen.
     #[inline(always)]
-    fn colour_last(&mut self) {
-        let Some(added) = self.chunk.last_mut() else { return };
-        if added.is_gaussian() && self.tracer.settings.sh_direction == ShDirection::Mean {
+    fn choose(&mut self, candidate: Candidate) {
+        self.tally.candidates += 1;
+        self.chunk.push(candidate);
+        let Some(added) = self.chunk.last_mut().filter(|added| added.is_gaussian()) else { return };
+        if let Some(counters) = self.tracer.counters {
+            counters.touch(added.index);
+        }
+        if self.tracer.settings.sh_direction == ShDirection::Mean {
             let (splats, index) = (&self.tracer.scene.splats, added.index as usize);
             let direction = (splats.means[index].as_dvec3() - self.projection.origin).normalize().as_vec3();
             added.colour = sh::evaluate(splats.sh_degree, splats.sh_of(index), direction).to_array();
