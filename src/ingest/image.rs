@@ -198,6 +198,6 @@ fn basis_size(bytes: &[u8]) -> std::result::Result<(u32, u32), String> {
 
 /// Red, green, blue and alpha of the finest level of a KTX2 file.
 fn basis_rgba(bytes: &[u8]) -> std::result::Result<Vec<u8>, String> {
-    let texture = Transcoder::new(bytes).map_err(|e| e.to_string())?;
-    texture.transcode(0, TargetFormat::Rgba32, DecodeFlags::NONE).map_err(|e| e.to_string())
+    let texture = Transcoder::new(bytes).map_err(|e| format!("{e:?}"))?;
+    texture.transcode(0, TargetFormat::Rgba32, DecodeFlags::NONE).map_err(|e| format!("{e:?}"))
 }
