@@ -71,8 +71,11 @@ pub struct Image {
     pub height: u32,
     /// What the pixels mean.
     pub encoding: Encoding,
-    levels: LazyLock<Result<Vec<Level>, BrokenImage>, Box<dyn FnOnce() -> Result<Vec<Level>, BrokenImage> + Send>>,
+    levels: LazyLock<Levels, Box<dyn FnOnce() -> Levels + Send>>,
 }
+
+/// The image and its mip levels, or why there are none.
+type Levels = Result<Vec<Level>, BrokenImage>;
 
 /// RGBA, 8 bit, row by row from the top, as encoded.
 pub type Pixels = Vec<[u8; 4]>;
