@@ -135,9 +135,10 @@ fn compare(name: &str, path: &Path, expected: &Expected) {
     assert!((sum - DVec3::from(expected.area_vector)).length() < 1e-5 * total, "{name}: {sum}");
     for (material, area) in &expected.area {
         let found = areas.get(material).copied().unwrap_or(0.0);
-        assert!((found - area).abs() < 1e-5 * total, "{name}: {material} covers {found} of {area}");
+        // A face that is not flat has a little more area when it is cut up than its corners enclose.
+        assert!((found - area).abs() < 1e-4 * total, "{name}: {material} covers {found} of {area}");
     }
-    assert!((total - expected.area.values().sum::<f64>()).abs() < 1e-5 * total, "{name}: {areas:?}");
+    assert!((total - expected.area.values().sum::<f64>()).abs() < 1e-4 * total, "{name}: {areas:?}");
 }
 
 #[test]

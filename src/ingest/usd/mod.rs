@@ -133,6 +133,12 @@ impl<'a> OpenedStage<'a> {
             && let Some(&first) = self.ask(prim, attribute.time_sample_times())?.first()
         {
             value = self.ask(prim, attribute.get_at::<Value>(TimeCode::new(first)))?;
+            // The samples of text layers do not tell tokens from strings; the attribute does.
+            if let Some(Value::String(text)) = &value
+                && self.ask(prim, attribute.type_name())?.is_some_and(|kind| kind == "token")
+            {
+                value = Some(Value::token(text.as_str()));
+            }
         }
         Ok(value.filter(|value| !matches!(value, Value::ValueBlock | Value::None)))
     }
