@@ -9,6 +9,9 @@ use glam::{Vec3, Vec4};
 use super::cubemap::RgbCubemap;
 use crate::trace::Face;
 
+/// From 2^23 on, f32 holds whole numbers only: a smaller one added to this is rounded, and lies in the low 23 bits.
+const INTEGERS: f32 = 8_388_608.0;
+
 /// Directions that are looked up together.
 pub(super) const LANES: usize = 16;
 
@@ -67,18 +70,25 @@ impl Sampler {
         }
     }
 
-    /// Where the directions meet the bordered faces. [`Face::axes`], written out so that it runs on lanes.
+    /// Where the directions meet the bordered faces. [`Face::axes`], written out so that the compiler runs it on vectors:
+    /// nothing branches and nothing can overflow, which it would have to check in a debug build.
     #[inline(always)]
     fn locate(&self, [x, y, z]: &[Lanes; 3]) -> Located {
-        let n = self.size as f32;
-        let width = self.size + 2;
+        let (n, width) = (self.size as f32, self.size + 2);
+        let half = 0.5 * n;
         let mut located = Located { first: [0; LANES], fraction: [[0.0; LANES]; 2] };
         for i in 0..LANES {
             let (x, y, z) = (x.0[i], y.0[i], z.0[i]);
             let (ax, ay, az) = (x.abs(), y.abs(), z.abs());
-            let is_x = ax >= ay && ax >= az;
-            let is_y = !is_x && ay >= az;
-            let depth = ax.max(ay).max(az);
+            let is_x = (ax >= ay) & (ax >= az);
+            let is_y = !is_x & (ay >= az);
+            let depth = if is_x {
+                ax
+            } else if is_y {
+                ay
+            } else {
+                az
+            };
             let major = if is_x {
                 x
             } else if is_y {
@@ -87,14 +97,14 @@ impl Sampler {
                 z
             };
             let axis = if is_x {
-                0
+                0_u32
             } else if is_y {
                 2
             } else {
                 4
             };
-            let face = axis + u32::from(major < 0.0);
-            let sign = if major < 0.0 { -1.0 } else { 1.0 };
+            let face = axis | major.to_bits() >> 31;
+            let sign = 1_f32.copysign(major);
             let right = if is_x {
                 z * sign
             } else if is_y {
@@ -103,14 +113,19 @@ impl Sampler {
                 -x * sign
             };
             let up = if is_y { z * sign } else { y };
-            let scale = 0.5 * n / depth;
-            // In bordered texels, whose first centre is at 0: half a texel of the border less the half of a centre.
-            let (u, v) = (right * scale + (0.5 * n + 0.5), 0.5 * n + 0.5 - up * scale);
-            // Rounding may leave the face by a little, never by a texel; the last pair of texels begins at n.
-            let (column, row) = ((u as u32).min(width - 2), (v as u32).min(width - 2));
-            located.first[i] = (face * width + row) * width + column;
-            located.fraction[0][i] = u - column as f32;
-            located.fraction[1][i] = v - row as f32;
+            // Rounding may leave the face by a little.
+            let texels = |along: f32| {
+                let place = along / depth * half + half;
+                let place = if place > 0.0 { place } else { 0.0 };
+                if place < n { place } else { n }
+            };
+            let (u, v) = (texels(right), texels(-up));
+            // With the border, the texel whose centre lies before place p has the index of p rounded.
+            let (rounded_u, rounded_v) = (u + INTEGERS, v + INTEGERS);
+            let [column, row] = [rounded_u, rounded_v].map(|rounded| rounded.to_bits() & 0x7f_ffff);
+            located.first[i] = face.wrapping_mul(width).wrapping_add(row).wrapping_mul(width).wrapping_add(column);
+            located.fraction[0][i] = u + 0.5 - (rounded_u - INTEGERS);
+            located.fraction[1][i] = v + 0.5 - (rounded_v - INTEGERS);
         }
         located
     }
@@ -120,9 +135,9 @@ impl Sampler {
         let width = self.size as usize + 2;
         let first = located.first[lane] as usize;
         let (fx, fy) = (located.fraction[0][lane], located.fraction[1][lane]);
-        let pair = |texels: &[Vec4]| texels[0] + (texels[1] - texels[0]) * fx;
-        let top = pair(&self.texels[first..first + 2]);
-        let bottom = pair(&self.texels[first + width..first + width + 2]);
+        let texels = &self.texels[first..first + width + 2];
+        let top = texels[0] + (texels[1] - texels[0]) * fx;
+        let bottom = texels[width] + (texels[width + 1] - texels[width]) * fx;
         top + (bottom - top) * fy
     }
 }
