@@ -1,5 +1,6 @@
 //! The whole bake, top to bottom.
 
+mod background;
 mod output;
 
 use std::collections::BTreeMap;
@@ -7,17 +8,17 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use serde::Serialize;
 
 use self::output::Output;
 use crate::bake::{self, BakeSettings, ProbeStatistics, Progress};
 use crate::bvh::Bvh;
 use crate::ingest::{self, SceneReport};
-use crate::job::{Job, Order, Placement, Surface, Tracer};
+use crate::job::{Background, Job, Order, Placement, Surface, Tracer};
 use crate::manifest::{self, InputRecord, Manifest};
 use crate::place::{self, Probe};
-use crate::scene::{Bounds, LinearRgb, Scene};
+use crate::scene::{Bounds, Scene};
 use crate::shade::{PathSettings, PathSurfaces, UnlitSurfaces};
 use crate::trace::footprint;
 use crate::trace::{BeamTracer, Footprint, Level, RayTracer, ReferenceTracer, Surfaces, TileTracer, TraceSettings};
@@ -76,9 +77,14 @@ fn bake_on_these_threads(job: &Job, progress: &dyn Progress, cancel: &AtomicBool
     let order = job.order.or(scene_report.order()).unwrap_or_default();
     // As resolved, so that the manifest says what was done.
     let job = &Job { order: Some(order), ..job.clone() };
-    scene.background = LinearRgb(Vec3::from(job.background));
+    background::set(&mut scene, &job.background)?;
     let probes = place_probes(&job.placement, &scene_report)?;
-    let inputs = input_records(&scene_report)?;
+    let mut inputs = input_records(&scene_report)?;
+    if let Background::Map(path) = &job.background {
+        let (bytes, blake3) = manifest::digest(path)?;
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        inputs.push(InputRecord { path: name, bytes, blake3, report: serde_json::json!({ "kind": "background" }) });
+    }
     let loaded = Instant::now();
     let bvh = Bvh::build(&mut scene);
     let built = Instant::now();
