@@ -337,12 +337,11 @@ fn refinement_ends_at_the_noise_asked_for_and_says_how_far_it_came() {
 fn black_and_unlit_surfaces_ask_for_no_paths() {
     let unlit = Material { unlit: true, base_colour: Vec4::new(0.1, 0.2, 0.3, 1.0), ..Material::default() };
     for (material, expected) in [(unlit, Vec3::new(0.1, 0.2, 0.3)), (emitter(2.0), Vec3::splat(2.0))] {
-        let mut scene = floor(material);
-        scene.lights.push(directional(3.0));
+        let mut scene = Scene { lights: vec![directional(3.0)], ..Scene::default() };
+        add_panel(&mut scene, material, Vec3::NEG_Y, FLOOR.1, FLOOR.2);
         with_surfaces(&mut scene, FIXED(64), |surfaces, tracer| {
-            let ray = ray(DVec3::new(0.0, 1.0, 0.0), DVec3::ZERO);
+            let ray = ray(DVec3::ZERO, DVec3::new(0.1, -1.0, 0.1));
             assert_eq!(fragment(surfaces, tracer, &ray).radiance.0, expected);
-            let ray = Ray { origin: DVec3::ZERO, direction: ray.direction };
             assert!(surfaces.noise_of(ray.origin).is_none());
         });
     }

@@ -262,7 +262,7 @@ impl Walk<'_> {
     }
 
     fn visibility(&self, ray: &Ray, distance: f64, scratch: &mut RayScratch) -> f32 {
-        self.tracer.transmittance(ray, distance, scratch, |hit| self.coverage(ray, hit))
+        self.tracer.transmittance(ray, distance, scratch, &mut |hit| self.coverage(ray, hit))
     }
 
     fn coverage(&self, ray: &Ray, hit: &SurfaceHit) -> f32 {
@@ -274,7 +274,7 @@ impl Walk<'_> {
     fn segment(&self, ray: &Ray, mut random: f32, scratch: &mut RayScratch) -> Segment {
         let mut next = None;
         let mut total = 0.0;
-        let gathered = self.tracer.trace_with(ray, f64::INFINITY, scratch, |hit, transmittance| {
+        let gathered = self.tracer.trace_with(ray, f64::INFINITY, scratch, &mut |hit, transmittance| {
             let alpha = if self.tracer.surfaces.is_opaque(hit.triangle) { 1.0 } else { self.coverage(ray, hit) };
             let weight = transmittance as f32 * alpha;
             if weight > 0.0 {
