@@ -13,7 +13,7 @@
 //! ingest     files -> scene, in physical units; one file per format
 //! bvh        one tree over the boxes of Gaussians and triangles
 //! trace      radiance along rays: reference, ray, beam
-//! shade      what leaves a surface: textures, materials
+//! shade      what leaves a surface: textures, materials, BSDF, lights, path tracing
 //! filter     cubemaps for rough and diffuse reflection: GGX, Lambert, spherical harmonics
 //! place      where probes stand and how far they reach
 //! bake       probes -> cubemaps, on all cores

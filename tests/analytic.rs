@@ -16,9 +16,7 @@ use splatprobe::encode::exr::{Image, read_exr};
 use splatprobe::job::{Footprint, Frame, Job, MeshInput, Pixel, Placement, SplatInput, Tracer, Transform};
 use splatprobe::pipeline;
 use splatprobe::scene::{Scene, colour};
-use splatprobe::trace::{
-    BeamTracer, Face, Radiance, Ray, RayTracer, ReferenceTracer, Tile, TileTracer, TraceSettings,
-};
+use splatprobe::trace::{BeamTracer, Face, Radiance, Ray, RayTracer, ReferenceTracer, Tile, TileTracer, TraceSettings};
 
 const TRACERS: [Tracer; 3] = [Tracer::Reference, Tracer::Ray, Tracer::Beam];
 
@@ -147,7 +145,12 @@ fn a_wall_of_gaussians_lets_through_the_product_of_its_layers() {
         })
         .collect();
     let background = [0.5, 1.0, 2.0];
-    let job = Job { splats: vec![write_ply(folder.path(), &rows)], background, t_cutoff: 0.0, ..Job::default() };
+    let job = Job {
+        splats: vec![write_ply(folder.path(), &rows)],
+        background: background.into(),
+        t_cutoff: 0.0,
+        ..Job::default()
+    };
     // Blended in display space, converted once.
     let (mut blended, mut transmittance) = (0.0, 1.0);
     for (i, opacity) in opacities.iter().enumerate() {
@@ -196,7 +199,7 @@ fn in_a_furnace_every_texel_has_its_colour() {
             transform: Transform { translation: [-0.5, -0.5, -1.0], ..Transform::default() },
             ..MeshInput::new(path)
         }],
-        background: light.to_array(),
+        background: light.to_array().into(),
         ..Job::default()
     };
     for tracer in TRACERS {

@@ -14,7 +14,8 @@ use splatprobe::shade::UnlitSurfaces;
 use splatprobe::trace::gaussian::response;
 use splatprobe::trace::ray::RayScratch;
 use splatprobe::trace::{
-    BeamTracer, Counters, Face, Level, Radiance, Ray, RayTracer, ReferenceTracer, Surfaces, Tile, TileTracer, TraceSettings,
+    BeamTracer, Counters, Face, Level, Radiance, Ray, RayTracer, ReferenceTracer, Surfaces, Tile, TileTracer,
+    TraceSettings,
 };
 
 /// Largest difference of two results over colour in display space, coverage, and mean distance relative to itself.

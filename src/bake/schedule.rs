@@ -113,8 +113,8 @@ impl<Sink: Fn(usize, Cubemap, ProbeStatistics) -> Result<()> + Sync> Bake<'_, Si
         for (y, row) in task.rows.iter_mut().enumerate() {
             for (x, texel) in row.iter_mut().enumerate() {
                 let first_ray = y * samples * ray_columns + x * samples;
-                let block = (0..samples).flat_map(|row| &rays[first_ray + row * ray_columns..][..samples]);
-                let (rgba, distance) = self.mean(block);
+                let block = (0..samples * samples).map(|k| first_ray + k / samples * ray_columns + k % samples);
+                let (rgba, distance) = self.mean(&task.tile, &rays, block);
                 *texel = rgba;
                 sums.add(rgba[3], distance);
                 if let Some(row) = task.distance_rows.get_mut(y) {
@@ -127,10 +127,18 @@ impl<Sink: Fn(usize, Cubemap, ProbeStatistics) -> Result<()> + Sync> Bake<'_, Si
     }
 
     /// Mean linear RGB and coverage of a texel's rays, and their mean distance weighted by coverage.
-    fn mean<'r>(&self, rays: impl Iterator<Item = &'r Radiance>) -> ([f32; 4], f32) {
+    /// `block` are their places in the tile's `rays`.
+    fn mean(&self, tile: &Tile, rays: &[Radiance], block: impl Iterator<Item = usize>) -> ([f32; 4], f32) {
         let (mut rgb, mut coverage, mut distance_sum) = (Vec3::ZERO, 0.0, 0.0);
-        for ray in rays {
-            rgb += ray.to_linear(self.scene.encoding, self.scene.background).0;
+        for place in block {
+            let ray = &rays[place];
+            let background = if self.scene.environment.is_some() && ray.transmittance > 0.0 {
+                let (x, y) = (place as u32 % tile.width, place as u32 / tile.width);
+                self.scene.background_along(tile.direction(x, y))
+            } else {
+                self.scene.background
+            };
+            rgb += ray.to_linear(self.scene.encoding, background).0;
             coverage += ray.coverage();
             distance_sum += ray.distance_sum;
         }

@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::Args;
 use splatprobe::job::{
-    Crop, Footprint, Frame, HdrEncoding, Job, MeshInput, MissingTexture, Order, OutputKind, Pixel, ProgressStyle,
-    RoughnessCurve, ShDirection, SplatInput, Surface, Tonemapper, Tracer, Transform, parse_numbers,
+    Background, Crop, Footprint, Frame, HdrEncoding, Job, MeshInput, MissingTexture, Order, OutputKind, Pixel,
+    ProgressStyle, RoughnessCurve, ShDirection, SplatInput, Surface, Tonemapper, Tracer, Transform, parse_numbers,
 };
 use splatprobe::scene::SplatEncoding;
 use splatprobe::{Error, Result, pipeline};
@@ -67,9 +67,10 @@ pub struct Bake {
     /// What stands for an image of the mesh file that is missing or broken [default: error].
     #[arg(long, value_name = "WHAT", help_heading = "Inputs")]
     missing_texture: Vec<MissingTexture>,
-    /// Linear radiance of rays that leave the scene [default: 0,0,0].
-    #[arg(long, value_name = "R,G,B", value_parser = parse_numbers::<3>, allow_hyphen_values = true, help_heading = "Inputs")]
-    background: Option<[f64; 3]>,
+    /// What rays that leave the scene see: linear radiance, or an .exr or .hdr image of all directions, by latitude and
+    /// longitude [default: 0,0,0].
+    #[arg(long, value_name = "R,G,B|FILE", allow_hyphen_values = true, help_heading = "Inputs")]
+    background: Option<Background>,
 
     /// Folder for the manifest and the probes.
     #[arg(short, long, value_name = "DIR", help_heading = "Output")]
@@ -247,7 +248,7 @@ impl Bake {
         set(&mut job.placement.error, self.error);
         set(&mut job.placement.max_probes, self.max_probes);
         set(&mut job.placement.held_out, self.held_out);
-        set(&mut job.background, self.background.map(|rgb| rgb.map(|value| value as f32)));
+        set(&mut job.background, self.background);
         set(&mut job.pixel, self.pixel);
         set(&mut job.distance, self.distance);
         if !self.outputs.is_empty() {

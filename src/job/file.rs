@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::Job;
+use super::{Background, Job};
 use crate::{Error, Result};
 
 impl Job {
@@ -18,7 +18,11 @@ impl Job {
         let folder = path.parent().unwrap_or(Path::new(""));
         let inputs = job.splats.iter_mut().map(|input| &mut input.path);
         let inputs = inputs.chain(job.meshes.iter_mut().map(|input| &mut input.path));
-        for path in inputs.chain(&mut job.output).chain(&mut job.stats) {
+        let background = match &mut job.background {
+            Background::Map(path) => Some(path),
+            Background::Colour(_) => None,
+        };
+        for path in inputs.chain(background).chain(&mut job.output).chain(&mut job.stats) {
             resolve(folder, path);
         }
         Ok(job)

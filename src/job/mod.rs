@@ -2,6 +2,7 @@
 //!
 //! A [`Job`] is what a job file holds and what the flags of the command line say; both have the same names.
 
+mod background;
 mod crop;
 mod file;
 mod footprint;
@@ -14,6 +15,7 @@ use std::path::PathBuf;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use background::Background;
 pub use crop::Crop;
 pub use footprint::Footprint;
 pub use inputs::{Frame, MeshInput, MissingTexture, SplatInput, Transform, parse_numbers};
@@ -242,9 +244,9 @@ pub struct Job {
     /// Whether light that codes its direction is baked instead of the scene, to check how consumers look cubemaps up.
     /// Default: false.
     pub calibration: bool,
-    /// Linear red, green, blue radiance of rays that leave the scene. Default: 0, 0, 0.
-    #[schemars(inner(range(min = 0.0)))]
-    pub background: [f32; 3],
+    /// What rays that leave the scene see: linear red, green, blue, or an .exr or .hdr image of all directions. A probe's
+    /// coverage counts the scene alone. Default: 0, 0, 0.
+    pub background: Background,
     /// Threads to work with; 0 is one per core. The result does not depend on it. Default: 0.
     #[serde(skip_serializing_if = "is_default")]
     #[schemars(range(max = 1024))]
@@ -288,7 +290,7 @@ impl Default for Job {
             sh_degree: 2,
             sh_window: false,
             calibration: false,
-            background: [0.0; 3],
+            background: Background::default(),
             threads: 0,
             progress: ProgressStyle::default(),
             stats: None,
@@ -310,7 +312,11 @@ impl Job {
             .splats
             .iter_mut()
             .map(|input| &mut input.path)
-            .chain(job.meshes.iter_mut().map(|input| &mut input.path));
+            .chain(job.meshes.iter_mut().map(|input| &mut input.path))
+            .chain(match &mut job.background {
+                Background::Map(path) => Some(path),
+                Background::Colour(_) => None,
+            });
         for path in paths {
             *path = path.file_name().unwrap_or_default().into();
         }

@@ -1,7 +1,7 @@
 //! The one place where a job's values are checked, alone and together.
 
 use super::footprint::MIN_FOCAL;
-use super::{Crop, Footprint, Job, MeshInput, OutputKind, Placement, SplatInput, Transform};
+use super::{Background, Crop, Footprint, Job, MeshInput, OutputKind, Placement, SplatInput, Transform};
 use crate::{Error, Result};
 
 /// Largest edge of a cube face, in pixels: a probe's six faces then take 6 GiB while they are traced.
@@ -77,9 +77,11 @@ impl Job {
         require((1..=MAX_PATHS).contains(&self.max_paths), "--max-paths", || {
             format!("{} is not between 1 and {MAX_PATHS} paths", self.max_paths)
         })?;
-        require(self.background.iter().all(|value| value.is_finite() && *value >= 0.0), "--background", || {
-            format!("{:?} is not a radiance: three finite numbers, 0 or more", self.background)
-        })?;
+        if let Background::Colour(colour) = &self.background {
+            require(colour.iter().all(|value| value.is_finite() && *value >= 0.0), "--background", || {
+                format!("{colour:?} is not a radiance: three finite numbers, 0 or more")
+            })?;
+        }
         self.validate_outputs()?;
         require(self.threads <= MAX_THREADS, "--threads", || {
             format!("{} is more than {MAX_THREADS}; 0 is one per core", self.threads)
@@ -302,7 +304,7 @@ mod tests {
             ("--footprint", |job| job.footprint = Footprint::Train(0.5)),
             ("--footprint", |job| job.footprint = Footprint::Train(f64::INFINITY)),
             ("--t-near", |job| job.t_near = f32::NAN),
-            ("--background", |job| job.background[1] = -1.0),
+            ("--background", |job| job.background = Background::Colour([0.0, -1.0, 0.0])),
             ("--outputs", |job| job.outputs.clear()),
             ("--outputs", |job| job.outputs = vec![OutputKind::Mips, OutputKind::Mips]),
             ("--face-size", |job| (job.outputs, job.face_size) = (vec![OutputKind::Envmap], 1)),

@@ -25,7 +25,7 @@ pub struct Manifest {
     pub frame: Frame,
     /// What the numbers in the images mean.
     pub colour: Colour,
-    /// What went in: splats, then meshes, each in the job's order. A file that brought both stands in both.
+    /// What went in: splats, then meshes, each in the job's order, then the background's image. A file that brought both stands in both.
     pub inputs: Vec<InputRecord>,
     /// The job, without what cannot change the result. Of the inputs' paths only the file names are kept.
     pub settings: Job,

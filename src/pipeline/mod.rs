@@ -1,5 +1,6 @@
 //! The whole bake, top to bottom.
 
+mod background;
 mod files;
 mod output;
 mod placement;
@@ -9,7 +10,7 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use serde::Serialize;
 
 use self::output::Output;
@@ -17,12 +18,12 @@ use self::placement::place_probes;
 use crate::bake::{self, BakeSettings, Calibration, ProbeStatistics, Progress, Silent};
 use crate::bvh::Bvh;
 use crate::ingest::{self, SceneReport};
-use crate::job::{Job, Order, OutputKind, Surface, Tracer};
+use crate::job::{Background, Job, Order, OutputKind, Surface, Tracer};
 use crate::manifest::{self, InputRecord, Manifest};
 use crate::place::adaptive::PlacementSeconds;
 use crate::place::free_space::Space;
 use crate::place::{Sight, signal};
-use crate::scene::{LinearRgb, Scene};
+use crate::scene::Scene;
 use crate::shade::{PathSettings, PathSurfaces, UnlitSurfaces};
 use crate::trace::footprint;
 use crate::trace::{
@@ -106,8 +107,13 @@ fn run(asked: &Job, job: &Job, progress: &dyn Progress, cancel: &AtomicBool) -> 
     // As resolved, so that the manifest says what was done.
     let [asked, job] = [asked, job].map(|job| Job { order: Some(order), ..job.clone() });
     let job = &job;
-    scene.background = LinearRgb(Vec3::from(job.background));
-    let inputs = input_records(&scene_report)?;
+    background::set(&mut scene, &job.background)?;
+    let mut inputs = input_records(&scene_report)?;
+    if let Background::Map(path) = &job.background {
+        let (bytes, blake3) = manifest::digest(path)?;
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        inputs.push(InputRecord { path: name, bytes, blake3, report: serde_json::json!({ "kind": "background" }) });
+    }
     let loaded = Instant::now();
     let bvh = Bvh::build(&mut scene);
     let built = Instant::now();

@@ -10,7 +10,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::trace::ray::RayScratch;
-use crate::trace::{Ray, RayTracer};
+use crate::trace::{Ray, RayTracer, SurfaceHit};
 
 /// A segment of which less passes is blocked.
 pub const OPEN: f32 = 0.5;
@@ -62,7 +62,8 @@ impl Space<'_> {
             return 1.0;
         }
         let ray = Ray { origin: from - self.tracer.scene.origin, direction: (to - from) / length };
-        self.tracer.transmittance(&ray, length, scratch, |hit| self.tracer.surfaces.fragment(&ray, hit).alpha)
+        let mut alpha = |hit: &SurfaceHit| self.tracer.surfaces.fragment(&ray, hit).alpha;
+        self.tracer.transmittance(&ray, length, scratch, &mut alpha)
     }
 
     /// Whether most light passes from `from` to `to`.

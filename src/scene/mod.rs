@@ -2,6 +2,7 @@
 
 pub mod bounds;
 pub mod colour;
+pub mod environment;
 pub mod light;
 pub mod material;
 pub mod mesh;
@@ -11,6 +12,7 @@ pub mod texture;
 
 pub use bounds::Bounds;
 pub use colour::{DisplayRgb, LinearRgb, SplatEncoding};
+pub use environment::EnvironmentMap;
 pub use light::Light;
 pub use material::Material;
 pub use mesh::Meshes;
@@ -36,11 +38,18 @@ pub struct Scene {
     pub encoding: SplatEncoding,
     /// Linear radiance of rays that leave the scene.
     pub background: LinearRgb,
+    /// The same by direction, instead.
+    pub environment: Option<EnvironmentMap>,
 }
 
 impl Scene {
     /// A world position as the offset from the scene's origin that positions are stored as.
     pub fn relative(&self, world: DVec3) -> Vec3 {
         (world - self.origin).as_vec3()
+    }
+
+    /// Radiance of rays that leave the scene along `direction`.
+    pub fn background_along(&self, direction: DVec3) -> LinearRgb {
+        self.environment.as_ref().map_or(self.background, |map| map.radiance(direction))
     }
 }

@@ -94,8 +94,10 @@ pub(super) struct Walk<'a> {
 
 /// What a ray meets.
 struct Segment {
-    /// What it gathers, without surfaces.
+    /// What it gathers, without surfaces and background.
     radiance: Vec3,
+    /// Share of the background that it sees.
+    transmittance: f32,
     /// The surface that the path goes on from: its share of the light divided by the probability of drawing it.
     next: Option<(SurfaceHit, f32)>,
 }
@@ -142,6 +144,12 @@ impl Walk<'_> {
             let ray = footing.leave(direction);
             let segment = self.segment(&ray, sampler.next()[0], scratch);
             light += throughput * segment.radiance;
+            if segment.transmittance > 0.0 {
+                let shared =
+                    sample.density.map_or(1.0, |density| power_heuristic(density, self.background_density(direction)));
+                let background = self.tracer.scene.background_along(direction).0;
+                light += throughput * segment.transmittance * shared * background;
+            }
             let Some((hit, share)) = segment.next.filter(|_| throughput != Vec3::ZERO) else { break };
             throughput *= share;
             let is_inside = (sample.direction.z > 0.0) != footing.front;
@@ -190,7 +198,34 @@ impl Walk<'_> {
             let [u0, u1, u2, _] = sampler.next();
             light += self.from_emitter(footing, bsdf, [u0, u1, u2], scratch).unwrap_or(Vec3::ZERO);
         }
+        if self.tracer.scene.environment.is_some() {
+            let [u0, u1, ..] = sampler.next();
+            light += self.from_environment(footing, bsdf, [u0, u1], scratch).unwrap_or(Vec3::ZERO);
+        }
         light
+    }
+
+    fn from_environment(
+        &self,
+        footing: &Footing,
+        bsdf: &Bsdf,
+        random: [f32; 2],
+        scratch: &mut RayScratch,
+    ) -> Option<Vec3> {
+        let map = self.tracer.scene.environment.as_ref()?;
+        let direction = map.sample(random)?;
+        let (response, bsdf_density) = self.response(footing, bsdf, direction);
+        let density = map.density(direction);
+        if response == Vec3::ZERO || density <= 0.0 {
+            return None;
+        }
+        let passed = self.visibility(&footing.leave(direction), f64::INFINITY, scratch);
+        Some(response * map.radiance(direction).0 * passed * power_heuristic(density, bsdf_density) / density)
+    }
+
+    /// Density with which the background is sampled; a colour is not, since the BSDF alone finds it as well.
+    fn background_density(&self, direction: DVec3) -> f32 {
+        self.tracer.scene.environment.as_ref().map_or(0.0, |map| map.density(direction))
     }
 
     fn from_emitter(&self, footing: &Footing, bsdf: &Bsdf, random: [f32; 3], scratch: &mut RayScratch) -> Option<Vec3> {
@@ -227,7 +262,7 @@ impl Walk<'_> {
     }
 
     fn visibility(&self, ray: &Ray, distance: f64, scratch: &mut RayScratch) -> f32 {
-        self.tracer.transmittance(ray, distance, scratch, |hit| self.coverage(ray, hit))
+        self.tracer.transmittance(ray, distance, scratch, &mut |hit| self.coverage(ray, hit))
     }
 
     fn coverage(&self, ray: &Ray, hit: &SurfaceHit) -> f32 {
@@ -239,7 +274,7 @@ impl Walk<'_> {
     fn segment(&self, ray: &Ray, mut random: f32, scratch: &mut RayScratch) -> Segment {
         let mut next = None;
         let mut total = 0.0;
-        let gathered = self.tracer.trace_with(ray, f64::INFINITY, scratch, |hit, transmittance| {
+        let gathered = self.tracer.trace_with(ray, f64::INFINITY, scratch, &mut |hit, transmittance| {
             let alpha = if self.tracer.surfaces.is_opaque(hit.triangle) { 1.0 } else { self.coverage(ray, hit) };
             let weight = transmittance as f32 * alpha;
             if weight > 0.0 {
@@ -255,7 +290,11 @@ impl Walk<'_> {
             Fragment { alpha, radiance: LinearRgb::default() }
         });
         let scene = self.tracer.scene;
-        Segment { radiance: gathered.to_linear(scene.encoding, scene.background).0, next: next.map(|hit| (hit, total)) }
+        Segment {
+            radiance: gathered.to_linear(scene.encoding, LinearRgb::default()).0,
+            transmittance: gathered.transmittance,
+            next: next.map(|hit| (hit, total)),
+        }
     }
 }
 

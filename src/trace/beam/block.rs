@@ -118,6 +118,8 @@ pub(super) struct Block<const N: usize> {
     pub metres_per_depth: Lanes<N>,
     /// Depth from which on contributions count; infinite in lanes whose ray has ended.
     pub near_depth: Lanes<N>,
+    /// Metres to the nearest opaque surface that has arrived: what surfaces behind it look like is never asked.
+    pub opaque_distance: Lanes<N>,
     splat_sum: [Lanes<N>; 3],
     splat_weight: Lanes<N>,
     surface_sum: [Lanes<N>; 3],
@@ -208,6 +210,7 @@ impl<const N: usize> Block<N> {
             y: lane_y,
             metres_per_depth: Lanes::splat(1.0),
             near_depth: Lanes::splat(0.0),
+            opaque_distance: Lanes::splat(f32::INFINITY),
             splat_sum: [Lanes::splat(0.0); 3],
             splat_weight: Lanes::splat(0.0),
             surface_sum: [Lanes::splat(0.0); 3],

@@ -193,11 +193,11 @@ impl<'a, const N: usize> Shader<'a, N> {
     }
 
     /// Makes the entry of a triangle; returns its least key, infinity if no lane sees it.
-    fn intersect(&mut self, block: &Block<N>, candidate: &Candidate, entry: &mut Entry<N>) -> f32 {
+    fn intersect(&mut self, block: &mut Block<N>, candidate: &Candidate, entry: &mut Entry<N>) -> f32 {
         let index = candidate.triangle();
         let (scene, surfaces) = (self.tracer.scene, self.tracer.surfaces);
         let corners = scene.meshes.corners(index as usize).map(|corner| corner.as_dvec3() - self.origin);
-        let double_sided = surfaces.is_double_sided(index);
+        let (double_sided, opaque) = (surfaces.is_double_sided(index), surfaces.is_opaque(index));
         let mut colours = [Lanes::splat(0.0); 3];
         *entry = Entry::EMPTY;
         let mut key_min = f32::INFINITY;
@@ -208,8 +208,16 @@ impl<'a, const N: usize> Shader<'a, N> {
             // The same unit direction as the ray tracer's, so that both see the same edges.
             let direction = block.direction(&self.tile, lane).normalize();
             let Some(met) = triangle::intersect(corners, direction) else { continue };
-            if !(met.front || double_sided) || met.distance <= f64::from(self.tracer.settings.t_near) {
+            let seen = met.front || double_sided;
+            let distance = met.distance as f32;
+            if !seen
+                || met.distance <= f64::from(self.tracer.settings.t_near)
+                || distance > block.opaque_distance.0[lane]
+            {
                 continue;
+            }
+            if opaque {
+                block.opaque_distance.0[lane] = distance;
             }
             let hit =
                 SurfaceHit { triangle: index, barycentric: met.barycentric, front: met.front, distance: met.distance };

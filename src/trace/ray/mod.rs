@@ -125,21 +125,19 @@ const WINDOW_GROWTH: f32 = 1.12;
 /// Where the first window ends, as a share of the last ray's end.
 const FIRST_WINDOW: f32 = 0.9;
 
+/// What a surface looks like, by hit and transmittance before it. Not a type parameter: the walk is compiled for every
+/// instruction level as it is.
+type FragmentAt<'a> = &'a mut dyn FnMut(&SurfaceHit, f64) -> Fragment;
+
 impl RayTracer<'_> {
     /// Everything along one ray until its transmittance falls below the cut-off.
     pub fn trace(&self, ray: &Ray, scratch: &mut RayScratch) -> Radiance {
-        self.trace_with(ray, f64::INFINITY, scratch, |hit, _| self.surfaces.fragment(ray, hit))
+        self.trace_with(ray, f64::INFINITY, scratch, &mut |hit, _| self.surfaces.fragment(ray, hit))
     }
 
     /// Everything along one ray whose sort key is below `limit`, surfaces as `fragment` gives them. It is told the hit and
     /// the transmittance before it, front to back, and only of hits that light reaches the ray's origin from.
-    pub fn trace_with(
-        &self,
-        ray: &Ray,
-        limit: f64,
-        scratch: &mut RayScratch,
-        fragment: impl FnMut(&SurfaceHit, f64) -> Fragment,
-    ) -> Radiance {
+    pub fn trace_with(&self, ray: &Ray, limit: f64, scratch: &mut RayScratch, fragment: FragmentAt) -> Radiance {
         pulp::Arch::new().dispatch(TraceRay { tracer: self, ray, limit, scratch, fragment })
     }
 
@@ -150,7 +148,7 @@ impl RayTracer<'_> {
         ray: &Ray,
         limit: f64,
         scratch: &mut RayScratch,
-        mut fragment: impl FnMut(&SurfaceHit, f64) -> Fragment,
+        fragment: FragmentAt,
     ) -> Radiance {
         let slabs = Slabs::new(ray, self.settings.order, self.settings.footprint);
         let mut blender = Blender::default();
@@ -180,7 +178,7 @@ impl RayTracer<'_> {
             // Nothing waits, or nothing of it can be seen.
             let last = nearest == f32::INFINITY || f64::from(nearest) > horizon;
             let end = if last { limit } else { limit.min(f64::from(window)) };
-            if !self.blend_below(end, ray, &mut blender, scratch, &mut fragment) || last {
+            if !self.blend_below(end, ray, &mut blender, scratch, fragment) || last {
                 break;
             }
             // At least one box more, even if its key is 0 or cannot be told from the window's end.
@@ -219,7 +217,7 @@ impl RayTracer<'_> {
         ray: &Ray,
         blender: &mut Blender,
         scratch: &mut RayScratch,
-        fragment: &mut impl FnMut(&SurfaceHit, f64) -> Fragment,
+        fragment: FragmentAt,
     ) -> bool {
         let end = event(end, 0, 0);
         let mut waiting = 0;
@@ -370,15 +368,15 @@ fn bits(mask: u8) -> impl Iterator<Item = usize> {
 }
 
 /// One ray at the machine's best instruction level: a closure would be compiled outside of it.
-struct TraceRay<'a, 'b, F> {
+struct TraceRay<'a, 'b> {
     tracer: &'a RayTracer<'b>,
     ray: &'a Ray,
     limit: f64,
     scratch: &'a mut RayScratch,
-    fragment: F,
+    fragment: FragmentAt<'a>,
 }
 
-impl<F: FnMut(&SurfaceHit, f64) -> Fragment> pulp::WithSimd for TraceRay<'_, '_, F> {
+impl pulp::WithSimd for TraceRay<'_, '_> {
     type Output = Radiance;
 
     #[inline(always)]

@@ -16,7 +16,7 @@ impl RayTracer<'_> {
         ray: &Ray,
         limit: f64,
         scratch: &mut RayScratch,
-        alpha: impl FnMut(&SurfaceHit) -> f32,
+        alpha: &mut dyn FnMut(&SurfaceHit) -> f32,
     ) -> f32 {
         pulp::Arch::new().dispatch(SeeThrough { tracer: self, ray, limit, scratch, alpha })
     }
@@ -28,7 +28,7 @@ impl RayTracer<'_> {
         ray: &Ray,
         limit: f64,
         scratch: &mut RayScratch,
-        mut alpha: impl FnMut(&SurfaceHit) -> f32,
+        alpha: &mut dyn FnMut(&SurfaceHit) -> f32,
     ) -> f32 {
         let slabs = Slabs::new(ray, self.settings.order, self.settings.footprint);
         let cutoff = f64::from(self.settings.t_cutoff);
@@ -85,15 +85,15 @@ impl RayTracer<'_> {
 }
 
 /// One ray at the machine's best instruction level.
-struct SeeThrough<'a, 'b, F> {
+struct SeeThrough<'a, 'b> {
     tracer: &'a RayTracer<'b>,
     ray: &'a Ray,
     limit: f64,
     scratch: &'a mut RayScratch,
-    alpha: F,
+    alpha: &'a mut dyn FnMut(&SurfaceHit) -> f32,
 }
 
-impl<F: FnMut(&SurfaceHit) -> f32> pulp::WithSimd for SeeThrough<'_, '_, F> {
+impl pulp::WithSimd for SeeThrough<'_, '_> {
     type Output = f32;
 
     #[inline(always)]
