@@ -22,7 +22,11 @@ impl Place {
         placement.adaptive |= placement.grid.is_none() && placement.probes.is_empty();
         let report = pipeline::place(&job, cancelled_by_signal())?;
         let seconds = report.seconds;
-        super::status(format_args!("{} probes in {:.1} s", report.probes, seconds.load + seconds.build + seconds.place));
+        super::status(format_args!(
+            "{} probes in {:.1} s",
+            report.probes,
+            seconds.load + seconds.build + seconds.place
+        ));
         Ok(format!("{}\n", report.manifest.display()))
     }
 }

@@ -46,7 +46,8 @@ impl PlanPicture {
             .rev()
             .filter_map(|level| plans.iter().find(|plan| plan.height == level.height.y).map(|plan| (level, plan)))
             .collect();
-        let metres = |plan: &Plan| DVec2::new(plan.lattice.size[0] as f64, plan.lattice.size[1] as f64) * plan.lattice.cell;
+        let metres =
+            |plan: &Plan| DVec2::new(plan.lattice.size[0] as f64, plan.lattice.size[1] as f64) * plan.lattice.cell;
         let widest = pairs.iter().map(|(_, plan)| metres(plan).max_element()).fold(1.0, f64::max);
         let scale = (EDGE - 2.0 * MARGIN) / widest;
         let mut picture = Self { size: [0; 2], marks: Vec::new(), greatest };

@@ -139,7 +139,8 @@ fn run(asked: &Job, job: &Job, progress: &dyn Progress, cancel: &AtomicBool) -> 
         return Err(Error::Cancelled);
     }
     let (count, placement) = (probes.len(), placed.seconds);
-    let published = output.publish(|records| placed.describe(Manifest::new(&asked, scene.encoding, inputs, records)))?;
+    let published =
+        output.publish(|records| placed.describe(Manifest::new(&asked, scene.encoding, inputs, records)))?;
 
     let report = BakeReport {
         manifest: published.manifest,

@@ -140,7 +140,8 @@ fn simplified(points: &[DVec2], tolerance: f64) -> Vec<usize> {
     while let Some((from, to)) = open.pop() {
         let (a, b) = (points[from], points[to]);
         let distance = |i: usize| {
-            let along = if a == b { 0.0 } else { ((points[i] - a).dot(b - a) / (b - a).length_squared()).clamp(0.0, 1.0) };
+            let along =
+                if a == b { 0.0 } else { ((points[i] - a).dot(b - a) / (b - a).length_squared()).clamp(0.0, 1.0) };
             points[i].distance(a + (b - a) * along)
         };
         let farthest = (from + 1..to).max_by(|&i, &j| distance(i).total_cmp(&distance(j)).then(j.cmp(&i)));

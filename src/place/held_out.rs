@@ -43,7 +43,9 @@ pub fn positions(space: &Space, levels: &[LevelSites], count: usize) -> Vec<DVec
     let cells: Vec<(usize, usize)> = levels
         .iter()
         .enumerate()
-        .flat_map(|(i, level)| (0..level.plan.free.len()).filter(|&cell| level.plan.free[cell]).map(move |cell| (i, cell)))
+        .flat_map(|(i, level)| {
+            (0..level.plan.free.len()).filter(|&cell| level.plan.free[cell]).map(move |cell| (i, cell))
+        })
         .collect();
     if cells.is_empty() {
         return Vec::new();
@@ -89,7 +91,8 @@ mod tests {
 
     #[test]
     fn a_summary_is_of_means_over_kinds() {
-        let found: Vec<[f64; KINDS]> = (1..=100).map(|i| [f64::from(i) / 50.0, 0.0, f64::from(i) / 50.0, 0.0]).collect();
+        let found: Vec<[f64; KINDS]> =
+            (1..=100).map(|i| [f64::from(i) / 50.0, 0.0, f64::from(i) / 50.0, 0.0]).collect();
         let summary = ErrorSummary::of(&found).unwrap();
         assert!((summary.mean - 0.505).abs() < 1e-12 && (summary.p95 - 0.95).abs() < 1e-12);
         assert!((summary.by_kind[0] - 1.01).abs() < 1e-12 && summary.by_kind[1] == 0.0);

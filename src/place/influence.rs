@@ -88,12 +88,12 @@ mod tests {
 
     #[test]
     fn boxes_cover_the_free_space_without_gaps() {
-        let plan = drawn(&["..........", ".....|....", ".###.|....", ".....|..#.", "...##..##.", ".........."]);
-        let points = [[0.3, 1.0, 0.3], [2.1, 1.0, 0.4], [0.4, 1.0, 1.3], [1.9, 1.0, 1.3], [0.7, 4.0, 0.3], [2.2, 4.0, 1.3]];
+        let plan = drawn(&["..........", ".....|.....", ".###.|.....", ".....|..#..", "...##..##.", ".........."]);
+        let points =
+            [[0.3, 1.0, 0.3], [2.1, 1.0, 0.4], [0.4, 1.0, 1.3], [1.9, 1.0, 1.3], [0.7, 4.0, 0.3], [2.2, 4.0, 1.3]];
         let probes = points.map(DVec3::from);
         let numbered: Vec<(u32, DVec3)> = (0..).zip(probes).collect();
-        let levels =
-            [level(&plan, 1.0, [0.0, 2.5], &numbered[..4]), level(&plan, 4.0, [2.8, 5.5], &numbered[4..])];
+        let levels = [level(&plan, 1.0, [0.0, 2.5], &numbered[..4]), level(&plan, 4.0, [2.8, 5.5], &numbered[4..])];
         let influences = influences(&probes, &levels, plan.lattice.cell, &BOUNDS);
         let boxes: Vec<Probe> = influences
             .iter()

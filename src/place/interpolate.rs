@@ -144,7 +144,8 @@ impl Level {
 fn nearest_weights([a, b, c]: [DVec2; 3], point: DVec2) -> [f64; 3] {
     let area = (b - a).perp_dot(c - a);
     if area > 0.0 {
-        let weights = [(b - point).perp_dot(c - point), (c - point).perp_dot(a - point), (a - point).perp_dot(b - point)];
+        let weights =
+            [(b - point).perp_dot(c - point), (c - point).perp_dot(a - point), (a - point).perp_dot(b - point)];
         if weights.iter().all(|weight| *weight >= 0.0) {
             return weights.map(|weight| weight / area);
         }
@@ -198,7 +199,8 @@ mod tests {
         // Radiance is where on the walls the ray ends: exact under parallax correction, for any blend.
         let network = network(vec![level(1.0, [0.0, 2.5], 0)]);
         let wall = |from: DVec3, direction: DVec3| from + direction * exit_distance(&ROOM, from, direction);
-        let radiance = |probe: usize, direction: DVec3, _| LinearRgb(wall(network.probes[probe].0, direction).as_vec3());
+        let radiance =
+            |probe: usize, direction: DVec3, _| LinearRgb(wall(network.probes[probe].0, direction).as_vec3());
         for i in 0..200 {
             let at = f64::from(i);
             let direction = DVec3::new(at.sin(), (at * 0.7).cos(), (at * 1.3).cos()).normalize();

@@ -20,6 +20,9 @@ const BEYOND: f64 = 0.5;
 /// Most points of a column; higher bounds get longer steps.
 const MAX_STEPS: f64 = 512.0;
 
+/// Most columns, about.
+const MAX_COLUMNS: f64 = 1024.0;
+
 /// Least height of a storey, in metres; what is lower is a gap between boards.
 const LEAST_HEIGHT: f64 = 1.5;
 
@@ -78,8 +81,11 @@ pub fn spread(storeys: &[[f64; 2]]) -> Vec<Height> {
 
 /// Floor and ceiling of every storey, from the lowest up: what most columns through the plan agree on.
 pub fn storeys(space: &Space, lattice: &Lattice, bounds: &Bounds) -> Vec<[f64; 2]> {
-    // A column for every square metre is enough to find a floor.
-    let stride = (1.0 / lattice.cell).round().max(1.0) as i64;
+    // A column for every square metre is enough to find a floor, and in large scenes fewer are.
+    let mut stride = (1.0 / lattice.cell).round().max(1.0) as i64;
+    while lattice.len() as f64 / (stride * stride) as f64 > MAX_COLUMNS {
+        stride *= 2;
+    }
     let is_column = |index: &usize| {
         let at = lattice.at(*index);
         (0..2).all(|axis| (lattice.first[axis] + at[axis] as i64).rem_euclid(stride) == stride / 2)
@@ -124,8 +130,10 @@ fn agreed(mut runs: Vec<[f64; 2]>) -> Vec<[f64; 2]> {
     while !runs.is_empty() {
         runs.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
         let window = |start: usize| runs[start..].partition_point(|run| run[0] < runs[start][0] + SAME_FLOOR);
-        let (start, count) =
-            (0..runs.len()).map(|start| (start, window(start))).max_by_key(|&(start, n)| (n, usize::MAX - start)).unwrap_or((0, 0));
+        let (start, count) = (0..runs.len())
+            .map(|start| (start, window(start)))
+            .max_by_key(|&(start, n)| (n, usize::MAX - start))
+            .unwrap_or((0, 0));
         if count < least {
             break;
         }

@@ -15,7 +15,7 @@ use crate::trace::ray::RayScratch;
 const CELL: f64 = 0.25;
 
 /// Most cells of a plan; larger bounds get larger cells.
-const MAX_CELLS: f64 = 65_536.0;
+const MAX_CELLS: f64 = 32_768.0;
 
 /// A rectangle of square cells in the plan (x, z).
 #[derive(Debug, Clone, Copy, PartialEq)]

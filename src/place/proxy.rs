@@ -24,7 +24,8 @@ pub struct Seen {
 const NEAREST: f64 = 0.05;
 const FARTHEST: f64 = 1000.0;
 
-/// Places tried for each wall in each round: quantiles of where the rays toward it end.
+/// Places tried for each wall in each round: quantiles of where the rays toward it end, from the nearest to the farthest;
+/// of a corridor's far end there are only a few rays.
 const CANDIDATES: usize = 16;
 
 /// Rounds over the six walls; after three, a room's walls move no more.
@@ -81,7 +82,7 @@ fn candidates(side: usize, seen: &[Seen]) -> Vec<f64> {
     }
     reached.sort_by(f64::total_cmp);
     let mut quantiles: Vec<f64> =
-        (0..CANDIDATES).map(|i| reached[((2 * i + 1) * reached.len() / (2 * CANDIDATES)).min(reached.len() - 1)]).collect();
+        (0..CANDIDATES).map(|i| reached[i * (reached.len() - 1) / (CANDIDATES - 1)]).collect();
     quantiles.dedup();
     quantiles
 }
@@ -96,7 +97,11 @@ mod tests {
     fn seen(position: DVec3, distance: impl Fn(usize, DVec3) -> f64) -> Vec<Seen> {
         let ray = |i: usize| {
             let direction = fibonacci(i, 400);
-            Seen { direction, distance: distance(i, exit_distance(&ROOM, position, direction) * direction), weight: 1.0 }
+            Seen {
+                direction,
+                distance: distance(i, exit_distance(&ROOM, position, direction) * direction),
+                weight: 1.0,
+            }
         };
         (0..400).map(ray).collect()
     }
@@ -125,7 +130,11 @@ mod tests {
         let position = DVec3::new(0.0, 1.5, 0.0);
         let ray = |i: usize| {
             let direction = fibonacci(i, 400);
-            Seen { direction, distance: if direction.y < 0.0 { -1.5 / direction.y } else { f64::INFINITY }, weight: 1.0 }
+            Seen {
+                direction,
+                distance: if direction.y < 0.0 { -1.5 / direction.y } else { f64::INFINITY },
+                weight: 1.0,
+            }
         };
         let found = fit(position, &(0..400).map(ray).collect::<Vec<_>>());
         assert!(found.min.y.abs() < 1e-9 && found.max.y > 100.0 && found.max.x > 10.0, "{found:?}");

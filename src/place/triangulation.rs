@@ -132,7 +132,9 @@ fn inside(triangles: &Triangles, parts: &[DVec2]) -> Vec<bool> {
         .iter()
         .filter_map(|part| match triangles.locate(Point2::new(part.x, part.y)) {
             PositionInTriangulation::OnFace(face) => Some(face),
-            PositionInTriangulation::OnEdge(edge) => triangles.directed_edge(edge).face().as_inner().map(|face| face.fix()),
+            PositionInTriangulation::OnEdge(edge) => {
+                triangles.directed_edge(edge).face().as_inner().map(|face| face.fix())
+            }
             PositionInTriangulation::OnVertex(vertex) => {
                 triangles.vertex(vertex).out_edges().find_map(|edge| edge.face().as_inner()).map(|face| face.fix())
             }
