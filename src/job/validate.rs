@@ -252,7 +252,7 @@ mod tests {
     #[test]
     fn every_fault_is_an_error_that_names_its_flag() {
         type Fault = (&'static str, fn(&mut Job));
-        let faults: [Fault; 34] = [
+        let faults: [Fault; 41] = [
             ("--splats", |job| job.splats.clear()),
             ("--splats", |job| job.splats[0].path = "".into()),
             ("--splat-transform", |job| job.splats[0].transform.rotation = [0.0; 4]),

@@ -82,8 +82,7 @@ pub struct PlacementRecord {
 pub struct Checks {
     /// Probes with opacity around them.
     pub probes_in_matter: usize,
-    /// Triangles that something parts: light does not pass along two or three sides of the triangle half their size in their
-    /// middle.
+    /// Triangles that a wall parts: of three points in it, those that are free do not see each other.
     pub triangles_across_walls: usize,
     /// Held-out positions that no influence box holds.
     pub positions_without_influence: usize,
@@ -230,10 +229,12 @@ impl<'a> Placed<'a> {
                     let at = (corner + centre) / 2.0;
                     DVec3::new(at.x, level.height.y, at.y)
                 });
-                let open = |a: usize, b: usize, scratch: &mut RayScratch| space.is_open(inner[a], inner[b], scratch);
-                let blocked = [(0, 1), (1, 2), (2, 0)].into_iter().filter(|&(a, b)| !open(a, b, scratch)).count();
-                // A wall parts two sides at least; a pole stands in one.
-                usize::from(blocked >= 2)
+                let free = inner.map(|point| space.is_free(point, scratch));
+                let pairs = [(0, 1), (1, 2), (2, 0)].into_iter().filter(|&(a, b)| free[a] && free[b]);
+                let sights: Vec<bool> = pairs.map(|(a, b)| space.is_open(inner[a], inner[b], scratch)).collect();
+                let blocked = sights.iter().filter(|open| !**open).count();
+                // A wall parts two sides of three; a pole stands in one.
+                usize::from(blocked > 0 && blocked + 1 >= sights.len())
             };
             let crossing: usize = level.triangles.par_iter().map_init(RayScratch::default, crosses).sum();
             checks.triangles_across_walls += crossing;

@@ -83,16 +83,16 @@ pub fn spread(storeys: &[[f64; 2]]) -> Vec<Height> {
 pub fn storeys(space: &Space, lattice: &Lattice, bounds: &Bounds) -> Vec<[f64; 2]> {
     // A column for every square metre is enough to find a floor, and in large scenes fewer are.
     let mut stride = (1.0 / lattice.cell).round().max(1.0) as i64;
-    while lattice.len() as f64 / (stride * stride) as f64 > MAX_COLUMNS {
+    while lattice.cell_count() as f64 / (stride * stride) as f64 > MAX_COLUMNS {
         stride *= 2;
     }
     let is_column = |index: &usize| {
         let at = lattice.at(*index);
         (0..2).all(|axis| (lattice.first[axis] + at[axis] as i64).rem_euclid(stride) == stride / 2)
     };
-    let mut columns: Vec<usize> = (0..lattice.len()).filter(is_column).collect();
+    let mut columns: Vec<usize> = (0..lattice.cell_count()).filter(is_column).collect();
     if columns.is_empty() {
-        columns = (0..lattice.len()).collect();
+        columns = (0..lattice.cell_count()).collect();
     }
     let runs = columns.par_iter().map_init(RayScratch::default, |scratch, &index| {
         let at = lattice.centre(index);

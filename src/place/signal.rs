@@ -54,7 +54,7 @@ impl Signal {
             texels.extend(rays.iter().map(|ray| ray.to_linear(scene.encoding, scene.background).0));
             // One ray of four tells where walls are.
             let quarter = rays.iter().zip(tile.directions()).zip(&angles).enumerate();
-            let quarter = quarter.filter(|(i, _)| i % 2 == 0 && i / FACE_SIZE as usize % 2 == 0);
+            let quarter = quarter.filter(|(i, _)| i % 2 == 0 && (i / FACE_SIZE as usize).is_multiple_of(2));
             seen.extend(quarter.map(|(_, ((ray, direction), &weight))| {
                 let is_covered = ray.coverage() > 0.5;
                 let distance = if is_covered { f64::from(ray.mean_distance()) } else { f64::INFINITY };

@@ -108,7 +108,7 @@ impl LevelSites {
             relocated += usize::from(kept && moved);
             kept
         });
-        let all: Vec<usize> = (0..plan.lattice.len()).collect();
+        let all: Vec<usize> = (0..plan.lattice.cell_count()).collect();
         let groups = plan.groups(&all).iter().map(|group| plan.lattice.centre(group[0])).collect();
         let mut contours = Contours::of(&plan);
         for point in &mut contours.points {
@@ -131,7 +131,7 @@ impl LevelSites {
 
 /// Takes closed free space below [`POCKET`] out of the plan, but never the largest part; returns its cells in order.
 fn pockets(plan: &mut Plan) -> Vec<usize> {
-    let all: Vec<usize> = (0..plan.lattice.len()).collect();
+    let all: Vec<usize> = (0..plan.lattice.cell_count()).collect();
     let groups = plan.groups(&all);
     let largest = groups.iter().map(Vec::len).max().unwrap_or(0);
     let is_pocket =
@@ -205,7 +205,7 @@ mod tests {
         let near = blocks(&lattice, 4);
         let mut cells: Vec<usize> = near.iter().flat_map(|block| block.cells.clone()).collect();
         cells.sort_unstable();
-        assert!(cells.into_iter().eq(0..lattice.len()));
+        assert!(cells.into_iter().eq(0..lattice.cell_count()));
         let far = blocks(&Lattice::over(&bounds(-9.1)), 4);
         assert!(near.iter().all(|block| far.iter().any(|other| other.centre == block.centre)));
     }
