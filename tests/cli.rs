@@ -78,12 +78,12 @@ fn write_room(path: &Path) {
         for i in 0..144 {
             let mut mean = [0.0; 3];
             let mut scale = [0.12_f64.ln(); 3];
-            mean[axis] = size[axis] * f64::from(side % 2);
+            mean[axis] = size[axis] * (side % 2) as f64;
             scale[axis] = 0.004_f64.ln();
             for (share, other) in [(i % 12, (axis + 1) % 3), (i / 12, (axis + 2) % 3)] {
                 mean[other as usize] = size[other as usize] * (f64::from(share) + 0.5) / 12.0;
             }
-            let colour = [side, (side + 2) % 6, (side + 4) % 6].map(|value| f64::from(value) / 3.0 - 0.8);
+            let colour = [side, (side + 2) % 6, (side + 4) % 6].map(|value| value as f64 / 3.0 - 0.8);
             let values = mean.into_iter().chain(colour).chain([6.0]).chain(scale).chain([1.0, 0.0, 0.0, 0.0]);
             rows += &values.map(|value| value.to_string()).collect::<Vec<_>>().join(" ");
             rows += "\n";
