@@ -65,6 +65,64 @@ fn a_bake_is_the_files_that_its_manifest_lists_and_verifies() {
     assert!(stats["seconds"]["bake"].as_f64().unwrap() > 0.0);
 }
 
+/// A PLY of a room of 2 x 2.4 x 2 m, its floor at y = 0, each side a lattice of flat Gaussians in a colour of its own.
+fn write_room(path: &Path) {
+    let properties = [
+        "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1",
+        "rot_2", "rot_3",
+    ];
+    let size = [2.0, 2.4, 2.0];
+    let mut rows = String::new();
+    for side in 0..6 {
+        let axis = side / 2;
+        for i in 0..144 {
+            let mut mean = [0.0; 3];
+            let mut scale = [0.12_f64.ln(); 3];
+            mean[axis] = size[axis] * (side % 2) as f64;
+            scale[axis] = 0.004_f64.ln();
+            for (share, other) in [(i % 12, (axis + 1) % 3), (i / 12, (axis + 2) % 3)] {
+                mean[other as usize] = size[other as usize] * (f64::from(share) + 0.5) / 12.0;
+            }
+            let colour = [side, (side + 2) % 6, (side + 4) % 6].map(|value| value as f64 / 3.0 - 0.8);
+            let values = mean.into_iter().chain(colour).chain([6.0]).chain(scale).chain([1.0, 0.0, 0.0, 0.0]);
+            rows += &values.map(|value| value.to_string()).collect::<Vec<_>>().join(" ");
+            rows += "\n";
+        }
+    }
+    let header: String = properties.iter().map(|name| format!("property float {name}\n")).collect();
+    std::fs::write(path, format!("ply\nformat ascii 1.0\nelement vertex 864\n{header}end_header\n{rows}")).unwrap();
+}
+
+#[test]
+fn place_writes_the_probes_of_an_adaptive_bake_and_a_plan_but_no_images() {
+    let folder = tempfile::tempdir().unwrap();
+    write_room(&folder.path().join("room.ply"));
+    let flags = "--splats room.ply --splat-frame rub --max-probes 3 --held-out 4 --error 0";
+    data(folder.path(), &format!("place {flags} -o plan"));
+    let names: Vec<String> = contents(&folder.path().join("plan")).into_iter().map(|(name, _)| name).collect();
+    assert_eq!(names, ["manifest.json", "plan.png", "plan.svg"]);
+    data(folder.path(), &format!("bake {flags} --adaptive --face-size 8 -o out"));
+    assert_eq!(data(folder.path(), "verify out"), "");
+    let [placed, baked] = ["plan", "out"].map(|out| -> Value {
+        let text = std::fs::read_to_string(folder.path().join(out).join("manifest.json")).unwrap();
+        serde_json::from_str(&text).unwrap()
+    });
+    let schema: Value = serde_json::from_str(&data(folder.path(), "schema manifest")).unwrap();
+    jsonschema::validator_for(&schema).unwrap().validate(&placed).unwrap();
+    assert_eq!(placed["placement"], baked["placement"]);
+    assert_eq!(placed["probes"].as_array().unwrap().len(), 3);
+    assert_eq!(placed["probes"][0]["files"], json!([]));
+    for (placed, baked) in placed["probes"].as_array().unwrap().iter().zip(baked["probes"].as_array().unwrap()) {
+        for field in ["id", "position", "influence", "proxy", "estimatedError"] {
+            assert_eq!(placed[field], baked[field]);
+        }
+    }
+    assert!(placed["placement"]["levels"][0]["triangles"].as_array().unwrap().len() > 3);
+    assert_eq!(placed["placement"]["heldOut"]["positions"], 4);
+    let proxy = &placed["probes"][0]["proxy"];
+    assert!((proxy["max"][0].as_f64().unwrap() - 2.0).abs() < 0.1, "{proxy}");
+}
+
 #[test]
 fn output_is_the_same_for_any_threads_folder_and_way_to_say_it() {
     let folder = scene();

@@ -9,7 +9,7 @@ use splatprobe::generate::{InteriorSettings, interior};
 
 /// Few Gaussians, so that the file is small; larger ones than a capture's, so that the walls have no holes.
 const ROOMS: InteriorSettings =
-    InteriorSettings { gaussians: 52_000, rooms: [2, 1], sh_degree: 0, seed: 1, gaussian_size: 1.6 };
+    InteriorSettings { gaussians: 52_000, rooms: [2, 1], joined: &[], sh_degree: 0, seed: 1, gaussian_size: 1.6 };
 
 fn main() -> std::io::Result<()> {
     let default = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/pipelines/demo"));

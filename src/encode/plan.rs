@@ -65,7 +65,7 @@ impl PlanPicture {
 
     fn draw(&mut self, level: &Level, plan: &Plan, errors: &[f64], scale: f64, pixel: impl Fn(DVec2) -> DVec2) {
         let half = plan.lattice.cell / 2.0;
-        for cell in (0..plan.lattice.len()).filter(|&cell| !plan.free[cell]) {
+        for cell in (0..plan.lattice.cell_count()).filter(|&cell| !plan.free[cell]) {
             let centre = plan.lattice.centre(cell);
             let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
             let square = corners.map(|corner| pixel(centre + DVec2::from(corner) * half));

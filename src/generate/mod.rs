@@ -26,6 +26,8 @@ pub struct InteriorSettings {
     pub gaussians: usize,
     /// How many rooms along x and z, at least 1, each [`ROOM`] metres large.
     pub rooms: [usize; 2],
+    /// Pairs of neighbouring rooms that have no wall between them: corridors and halls. Rooms are counted along x and z.
+    pub joined: &'static [[[usize; 2]; 2]],
     /// Spherical harmonics degree, 0 to [`sh::MAX_DEGREE`]. It changes no Gaussian's shape and no lower band.
     pub sh_degree: u8,
     /// Another seed is another building of the same kind.
@@ -37,9 +39,14 @@ pub struct InteriorSettings {
 impl Default for InteriorSettings {
     /// A captured floor of 16 rooms: 1.5 million Gaussians of degree 3.
     fn default() -> Self {
-        Self { gaussians: 1_500_000, rooms: [4, 4], sh_degree: 3, seed: 1, gaussian_size: 1.0 }
+        Self { gaussians: 1_500_000, rooms: [4, 4], joined: &[], sh_degree: 3, seed: 1, gaussian_size: 1.0 }
     }
 }
+
+/// [`InteriorSettings::joined`] of a building of 4 by 4 rooms: a corridor through all of it, an L-shaped hall of three, and
+/// nine rooms.
+pub const CORRIDOR_AND_HALL: &[[[usize; 2]; 2]] =
+    &[[[0, 1], [1, 1]], [[1, 1], [2, 1]], [[2, 1], [3, 1]], [[0, 2], [1, 2]], [[1, 2], [1, 3]]];
 
 /// Colour of a spherical harmonics DC coefficient of 1: `1 / (2 sqrt(pi))`.
 const DC: f64 = 0.282_094_791_773_878_14;
@@ -62,7 +69,7 @@ const LARGEST_SD: f64 = 10.0;
 /// settings a ray blends about 40 of them until its transmittance is below 0.001. Colours are display-encoded.
 pub fn interior(settings: &InteriorSettings) -> Splats {
     assert!(!settings.rooms.contains(&0), "a building has at least one room");
-    let building = Building::new(settings.rooms, settings.seed);
+    let building = Building::new(settings.rooms, settings.joined, settings.seed);
     let total: f64 = building.parts.iter().map(|part| part.weight).sum();
     let ends: Vec<usize> = building
         .parts

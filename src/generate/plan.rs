@@ -53,24 +53,37 @@ pub struct Building {
 }
 
 impl Building {
-    /// `rooms` along x and z, from the origin towards +X and +Z, with the floor at y = 0.
-    pub fn new(rooms: [usize; 2], seed: u64) -> Self {
+    /// `rooms` along x and z, from the origin towards +X and +Z, with the floor at y = 0; no wall between those `joined`.
+    pub fn new(rooms: [usize; 2], joined: &[[[usize; 2]; 2]], seed: u64) -> Self {
         let mut building = Self::default();
         for z in 0..rooms[1] {
             for x in 0..rooms[0] {
-                building.add_room(rooms, [x, z], seed);
+                building.add_room(rooms, joined, [x, z], seed);
             }
         }
         building.add_strays(rooms);
         building
     }
 
-    fn add_room(&mut self, rooms: [usize; 2], [x, z]: [usize; 2], seed: u64) {
+    fn add_room(&mut self, rooms: [usize; 2], joined: &[[[usize; 2]; 2]], [x, z]: [usize; 2], seed: u64) {
         let room = self.lamps.len();
         let mut random = Random::new(seed, room as u64);
-        let inset = DVec3::new(WALL_THICKNESS / 2.0, 0.0, WALL_THICKNESS / 2.0);
+        let is_joined = |other: Option<[usize; 2]>| {
+            other.is_some_and(|other| joined.contains(&[[x, z], other]) || joined.contains(&[other, [x, z]]))
+        };
+        // Toward -X, +X, -Z, +Z.
+        let open = [
+            is_joined(x.checked_sub(1).map(|x| [x, z])),
+            is_joined(Some([x + 1, z])),
+            is_joined(z.checked_sub(1).map(|z| [x, z])),
+            is_joined(Some([x, z + 1])),
+        ];
+        let inset = open.map(|open| if open { 0.0 } else { WALL_THICKNESS / 2.0 });
         let corner = DVec3::new(x as f64, 0.0, z as f64) * ROOM;
-        let [low, high] = [corner + inset, corner + ROOM - inset];
+        let low = corner + DVec3::new(inset[0], 0.0, inset[2]);
+        let high = corner + ROOM - DVec3::new(inset[1], 0.0, inset[3]);
+        // From the middle between the walls to the middle of the room's cell, where doorways are.
+        let to_cell = DVec3::new(inset[1] - inset[0], 0.0, inset[3] - inset[2]) / 2.0;
         let centre = (low + high) / 2.0;
 
         // Hues a golden section apart differ for any number of rooms.
@@ -99,12 +112,16 @@ impl Building {
             (low, DVec3::X, w, z > 0, [x, z, 1]),
             (high.with_y(0.0), DVec3::NEG_X, w, z + 1 < rooms[1], [x, z + 1, 1]),
         ];
-        for (origin, right, length, has_neighbour, [edge_x, edge_z, axis]) in walls {
+        for ((origin, right, length, has_neighbour, [edge_x, edge_z, axis]), open) in walls.into_iter().zip(open) {
+            if open {
+                continue;
+            }
             let positive = right.element_sum() > 0.0;
             if has_neighbour {
                 // Both rooms of a doorway see it at the same place; neighbouring doorways do not line up.
                 let offset = if (edge_x + edge_z + axis).is_multiple_of(2) { 0.55 } else { -0.55 };
-                let left = length / 2.0 - DOOR.x / 2.0 + if positive { offset } else { -offset };
+                let middle = length / 2.0 + to_cell.dot(right);
+                let left = middle - DOOR.x / 2.0 + if positive { offset } else { -offset };
                 self.wall_with_door(origin, right, length, left, paint, room);
                 if !positive {
                     self.door_frame(origin + right * left, right, room);

@@ -271,7 +271,7 @@ mod tests {
     #[test]
     fn every_fault_is_an_error_that_names_its_flag() {
         type Fault = (&'static str, fn(&mut Job));
-        let faults: [Fault; 42] = [
+        let faults: &[Fault] = &[
             ("--splats", |job| job.splats.clear()),
             ("--splats", |job| job.splats[0].path = "".into()),
             ("--splat-transform", |job| job.splats[0].transform.rotation = [0.0; 4]),
@@ -315,7 +315,7 @@ mod tests {
             ("--threads", |job| job.threads = usize::MAX),
             ("--face-size", |job| (job.placement.grid, job.face_size) = (Some([100, 10, 100]), 2048)),
         ];
-        for (flag, change) in faults {
+        for &(flag, change) in faults {
             match job_with(change).validate() {
                 Err(Error::Request { field, .. }) => assert_eq!(field, flag),
                 other => panic!("{flag}: {other:?}"),

@@ -4,7 +4,7 @@
 //! terrains and height fields") do for heights; that fewer probes than a grid's suffice was shown by Wang et al. (I3D 2019,
 //! "Fast non-uniform radiance probe placement and tracing").
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use glam::DVec3;
@@ -15,25 +15,16 @@ use serde::{Deserialize, Serialize};
 use super::free_space::{Reason, Space};
 use super::held_out::{self, ErrorSummary};
 use super::interpolate::Network;
-use super::levels::{self, Height};
-use super::plan::{Lattice, Plan};
+use super::plan::Plan;
 use super::search::{Budget, Candidate, Chosen, Search};
 use super::signal::Signal;
-use super::sites::{Dropped, LevelSites, stride};
+use super::sites::Dropped;
+use super::survey::{Sight, Survey, trace_all};
 use super::triangulation::{Level, Share};
-use super::{Probe, check_bounds, grid, influence, probe_id};
-use crate::error::{Error, Result};
-use crate::scene::{Bounds, Scene};
-use crate::trace::TileTracer;
+use super::{Probe, grid, influence, probe_id};
+use crate::error::Result;
+use crate::scene::Bounds;
 use crate::trace::ray::RayScratch;
-
-/// What placement sees the scene with.
-pub struct Sight<'a> {
-    /// Single rays.
-    pub space: Space<'a>,
-    /// Cubemaps of [`signal::FACE_SIZE`](super::signal::FACE_SIZE) texels.
-    pub tiles: &'a dyn TileTracer,
-}
 
 /// What is asked of a placement.
 #[derive(Debug, Clone, PartialEq)]
@@ -91,7 +82,7 @@ pub struct PlacementRecord {
 pub struct Checks {
     /// Probes with opacity around them.
     pub probes_in_matter: usize,
-    /// Triangles across which light does not pass between the middles of their halves.
+    /// Triangles that a wall parts: of three points in it, those that are free do not see each other.
     pub triangles_across_walls: usize,
     /// Held-out positions that no influence box holds.
     pub positions_without_influence: usize,
@@ -127,103 +118,35 @@ pub struct PlacementSeconds {
 
 /// Places probes by the error of their prediction.
 ///
-/// Fails with [`Error::Request`] when the bounds are no box with a volume, a level is outside of them or has no free space,
-/// or there is no free space at all; with [`Error::Cancelled`] when `cancel` is set.
+/// Fails as [`Survey::new`] does.
 pub fn adaptive(sight: &Sight, settings: &AdaptiveSettings, cancel: &AtomicBool) -> Result<Adaptive> {
-    let begun = Instant::now();
-    check_bounds(&settings.bounds)?;
-    let levels = level_sites(&sight.space, settings)?;
-    let free_space = begun.elapsed();
-
-    let placed_by_level =
-        levels.iter().enumerate().flat_map(|(i, level)| level.sites.iter().map(move |&site| (i, site)));
-    let places: Vec<(usize, DVec3)> = placed_by_level.collect();
-    let signals = trace_all(sight, places.iter().map(|place| place.1), cancel)?;
-    let candidates: Vec<Candidate> = places
-        .iter()
-        .zip(signals)
-        .map(|(&(level, _), signal)| Candidate { level, truth: signal.truth(), signal })
-        .collect();
-    let traced = begun.elapsed();
-
-    let budget = Budget {
-        error: settings.error,
-        probes: settings.max_probes.max(1),
-        end: settings.time.map(|time| begun + time),
-    };
-    let chosen = Search::new(&sight.space, &levels, &candidates, budget).run();
-    let searched = begun.elapsed();
-
-    let mut placed = Placed::new(&levels, &candidates, chosen, settings);
-    placed.check(&sight.space);
-    let held_out = held_out::positions(&sight.space, &levels, settings.held_out);
-    placed.judge(sight, settings, &held_out, cancel)?;
-    let seconds = PlacementSeconds {
-        free_space: free_space.as_secs_f64(),
-        signals: (traced - free_space).as_secs_f64(),
-        search: (searched - traced).as_secs_f64(),
-        report: (begun.elapsed() - searched).as_secs_f64(),
-    };
-    let Placed { probes, estimated_errors, record, .. } = placed;
-    let plans = levels.into_iter().map(|level| level.plan).collect();
-    Ok(Adaptive { probes, estimated_errors, record, plans, seconds })
+    Survey::new(sight, settings, cancel)?.place(sight, settings, cancel)
 }
 
-/// Free space and sites of every level.
-fn level_sites(space: &Space, settings: &AdaptiveSettings) -> Result<Vec<LevelSites>> {
-    let bounds = &settings.bounds;
-    let lattice = Lattice::over(bounds);
-    let storeys = levels::storeys(space, &lattice, bounds);
-    let heights = if settings.levels.is_empty() {
-        levels::spread(&storeys)
-    } else {
-        levels::given(&settings.levels, &storeys, bounds)?
-    };
-    let plans: Vec<(Height, Plan)> =
-        heights.into_iter().map(|height| (height, Plan::trace(space, lattice, height.y))).collect();
-    let area = plans.iter().map(|(_, plan)| plan.area()).sum();
-    let stride = stride(lattice.cell, area);
-    // Rays of this length have left the bounds, and whatever stands around them.
-    let reach = 4.0 * bounds.extent().length();
-    let mut levels: Vec<LevelSites> =
-        plans.into_iter().map(|(height, plan)| LevelSites::new(space, plan, height, stride, reach)).collect();
-    if let Some(level) = levels.iter().find(|level| level.sites.is_empty() && !settings.levels.is_empty()) {
-        return Err(Error::request("--levels", format!("{} m: {}", level.height.y, why_none(&level.dropped))));
+impl Survey {
+    /// Places probes; of `settings` the error and the budget count. Fails with [`Error::Cancelled`](crate::Error::Cancelled)
+    /// when `cancel` is set.
+    pub fn place(&self, sight: &Sight, settings: &AdaptiveSettings, cancel: &AtomicBool) -> Result<Adaptive> {
+        let begun = Instant::now();
+        let budget = Budget {
+            error: settings.error,
+            probes: settings.max_probes.max(1),
+            end: settings.time.map(|time| self.begun + time),
+        };
+        let chosen = Search::new(&sight.space, &self.levels, &self.candidates, budget).run();
+        let searched = Instant::now();
+        let mut placed = Placed::new(self, chosen, &settings.bounds);
+        placed.check(&sight.space);
+        placed.judge(sight, settings.bounds, &self.truths, cancel)?;
+        let Placed { probes, estimated_errors, record, .. } = placed;
+        let seconds = PlacementSeconds {
+            search: (searched - begun).as_secs_f64(),
+            report: self.seconds.report + searched.elapsed().as_secs_f64(),
+            ..self.seconds
+        };
+        let plans = self.levels.iter().map(|level| level.plan.clone()).collect();
+        Ok(Adaptive { probes, estimated_errors, record, plans, seconds })
     }
-    if levels.iter().all(|level| level.sites.is_empty()) {
-        let dropped: Vec<Dropped> = levels.iter().flat_map(|level| level.dropped.iter().copied()).collect();
-        let Bounds { min, max } = bounds;
-        let why = format!("{min} to {max} holds no place for a probe: {}", why_none(&dropped));
-        return Err(Error::request("--bounds", why));
-    }
-    levels.retain(|level| !level.sites.is_empty());
-    Ok(levels)
-}
-
-/// What stands against a probe, in words.
-fn why_none(dropped: &[Dropped]) -> String {
-    let count = |reason: Reason| dropped.iter().filter(|dropped| dropped.reason == reason).count();
-    match dropped.len() {
-        0 => "no floor with 1.5 m of free height above it was found; give --levels or other --bounds".into(),
-        all => format!(
-            "of {all} places {} lie in matter, {} see mostly nothing, {} have no floor below",
-            count(Reason::Matter),
-            count(Reason::Outside),
-            count(Reason::NoFloor)
-        ),
-    }
-}
-
-/// Small cubemaps at all `places`, in their order.
-fn trace_all(sight: &Sight, places: impl Iterator<Item = DVec3>, cancel: &AtomicBool) -> Result<Vec<Signal>> {
-    let scene: &Scene = sight.space.tracer.scene;
-    let trace = |place: DVec3| {
-        if cancel.load(Ordering::Relaxed) {
-            return Err(Error::Cancelled);
-        }
-        Signal::trace(sight.tiles, scene, place)
-    };
-    places.collect::<Vec<_>>().into_par_iter().with_max_len(1).map(trace).collect()
 }
 
 /// A result on its way to the caller.
@@ -238,7 +161,8 @@ struct Placed<'a> {
 
 impl<'a> Placed<'a> {
     /// Numbers the probes by level and place, and leaves out levels without any.
-    fn new(sites: &[LevelSites], candidates: &'a [Candidate], chosen: Chosen, settings: &AdaptiveSettings) -> Self {
+    fn new(survey: &'a Survey, chosen: Chosen, bounds: &Bounds) -> Self {
+        let Survey { levels: sites, candidates, .. } = survey;
         let Chosen { probes: mut indices, network, errors, .. } = chosen;
         let weights: Vec<Vec<Share>> =
             candidates.par_iter().map(|candidate| network.weights(candidate.signal.position)).collect();
@@ -264,7 +188,7 @@ impl<'a> Placed<'a> {
         }
         let positions: Vec<DVec3> = indices.iter().map(|&i| candidates[i].signal.position).collect();
         let margin = sites.iter().map(|level| level.plan.lattice.cell).fold(0.0, f64::max);
-        let influences = influence::influences(&positions, &levels, margin, &settings.bounds);
+        let influences = influence::influences(&positions, &levels, margin, bounds);
         let probes = indices.iter().zip(influences).enumerate().map(|(i, (&candidate, (influence, blend)))| Probe {
             id: probe_id(i, indices.len()),
             position: candidates[candidate].signal.position,
@@ -305,39 +229,35 @@ impl<'a> Placed<'a> {
                     let at = (corner + centre) / 2.0;
                     DVec3::new(at.x, level.height.y, at.y)
                 });
-                let open = |a: usize, b: usize, scratch: &mut RayScratch| space.is_open(inner[a], inner[b], scratch);
-                usize::from(!(open(0, 1, scratch) && open(1, 2, scratch) && open(2, 0, scratch)))
+                let free = inner.map(|point| space.is_free(point, scratch));
+                let pairs = [(0, 1), (1, 2), (2, 0)].into_iter().filter(|&(a, b)| free[a] && free[b]);
+                let sights: Vec<bool> = pairs.map(|(a, b)| space.is_open(inner[a], inner[b], scratch)).collect();
+                let blocked = sights.iter().filter(|open| !**open).count();
+                // A wall parts two sides of three; a pole stands in one.
+                usize::from(blocked > 0 && blocked + 1 >= sights.len())
             };
             let crossing: usize = level.triangles.par_iter().map_init(RayScratch::default, crosses).sum();
             checks.triangles_across_walls += crossing;
         }
     }
 
-    /// Measures errors at `positions`, of this placement and of a grid.
-    fn judge(
-        &mut self,
-        sight: &Sight,
-        settings: &AdaptiveSettings,
-        positions: &[DVec3],
-        cancel: &AtomicBool,
-    ) -> Result<()> {
-        let covers = |position: &DVec3| self.probes.iter().any(|probe| probe.weight(*position) > 0.0);
-        self.record.checks.positions_without_influence = positions.iter().filter(|position| !covers(position)).count();
-        let truths = trace_all(sight, positions.iter().copied(), cancel)?;
+    /// Measures errors where the `truths` were traced, of this placement and of a grid.
+    fn judge(&mut self, sight: &Sight, bounds: Bounds, truths: &[Signal], cancel: &AtomicBool) -> Result<()> {
+        if truths.is_empty() {
+            return Ok(());
+        }
+        let covers = |truth: &&Signal| self.probes.iter().any(|probe| probe.weight(truth.position) > 0.0);
+        self.record.checks.positions_without_influence = truths.len() - truths.iter().filter(covers).count();
         let network = self.network();
         let own: Vec<&Signal> = self.chosen.iter().map(|&i| &self.candidates[i].signal).collect();
-        let adaptive = ErrorSummary::of(&held_out::judge(&truths, &own, |position| network.weights(position)));
+        let adaptive = ErrorSummary::of(&held_out::judge(truths, &own, |position| network.weights(position)));
 
-        let grid_counts = grid_counts(settings.bounds.extent(), self.probes.len());
-        let (signals, weights) = grid_of(sight, settings.bounds, grid_counts, cancel)?;
+        let grid_counts = grid_counts(bounds.extent(), self.probes.len());
+        let (signals, weights) = grid_of(sight, bounds, grid_counts, cancel)?;
         let signals: Vec<&Signal> = signals.iter().collect();
-        let grid = ErrorSummary::of(&held_out::judge(&truths, &signals, weights));
-        self.record.held_out = adaptive.zip(grid).map(|(adaptive, grid)| HeldOut {
-            positions: positions.len(),
-            adaptive,
-            grid,
-            grid_counts,
-        });
+        let grid = ErrorSummary::of(&held_out::judge(truths, &signals, weights));
+        self.record.held_out =
+            adaptive.zip(grid).map(|(adaptive, grid)| HeldOut { positions: truths.len(), adaptive, grid, grid_counts });
         Ok(())
     }
 
@@ -394,7 +314,7 @@ mod tests {
 
     #[test]
     fn a_grid_for_comparison_has_about_as_many_probes_in_cells_like_cubes() {
-        assert_eq!(grid_counts(DVec3::new(20.0, 2.7, 16.8), 64), [9, 1, 7]);
+        assert_eq!(grid_counts(DVec3::new(20.0, 2.7, 16.8), 64), [8, 1, 8]);
         assert_eq!(grid_counts(DVec3::ONE, 27), [3, 3, 3]);
         assert_eq!(grid_counts(DVec3::new(10.0, 2.7, 4.2), 1), [1, 1, 1]);
         assert_eq!(grid_counts(DVec3::ONE, 0), [1, 1, 1]);

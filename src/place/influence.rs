@@ -81,14 +81,14 @@ mod tests {
     const BOUNDS: Bounds = Bounds { min: DVec3::new(0.0, -0.1, 0.0), max: DVec3::new(4.0, 5.8, 4.0) };
 
     fn level(plan: &Plan, y: f64, [floor, ceiling]: [f64; 2], probes: &[(u32, DVec3)]) -> Level {
-        let all: Vec<usize> = (0..plan.lattice.len()).collect();
+        let all: Vec<usize> = (0..plan.lattice.cell_count()).collect();
         let parts = plan.groups(&all).iter().map(|group| plan.lattice.centre(group[0])).collect();
         Ground::new(Height { y, floor, ceiling }, &Contours::of(plan), parts).with_probes(probes, |_, _| true)
     }
 
     #[test]
     fn boxes_cover_the_free_space_without_gaps() {
-        let plan = drawn(&["..........", ".....|....", ".###.|....", ".....|..#.", "...##..##.", ".........."]);
+        let plan = drawn(&["..........", ".....|.....", ".###.|.....", ".....|..#..", "...##..##.", ".........."]);
         let points =
             [[0.3, 1.0, 0.3], [2.1, 1.0, 0.4], [0.4, 1.0, 1.3], [1.9, 1.0, 1.3], [0.7, 4.0, 0.3], [2.2, 4.0, 1.3]];
         let probes = points.map(DVec3::from);
@@ -109,7 +109,7 @@ mod tests {
         for probe in &boxes {
             assert!((probe.weight(probe.position) - 1.0).abs() < 1e-12, "{probe:?}");
         }
-        let free = (0..plan.lattice.len()).filter(|&cell| plan.free[cell]);
+        let free = (0..plan.lattice.cell_count()).filter(|&cell| plan.free[cell]);
         for cell in free {
             for i in 0..36 {
                 let offset = DVec2::new(f64::from(i % 6) / 5.0 - 0.5, f64::from(i / 6) / 5.0 - 0.5) * plan.lattice.cell;

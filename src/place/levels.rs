@@ -20,6 +20,9 @@ const BEYOND: f64 = 0.5;
 /// Most points of a column; higher bounds get longer steps.
 const MAX_STEPS: f64 = 512.0;
 
+/// Most columns, about.
+const MAX_COLUMNS: f64 = 1024.0;
+
 /// Least height of a storey, in metres; what is lower is a gap between boards.
 const LEAST_HEIGHT: f64 = 1.5;
 
@@ -78,15 +81,18 @@ pub fn spread(storeys: &[[f64; 2]]) -> Vec<Height> {
 
 /// Floor and ceiling of every storey, from the lowest up: what most columns through the plan agree on.
 pub fn storeys(space: &Space, lattice: &Lattice, bounds: &Bounds) -> Vec<[f64; 2]> {
-    // A column for every square metre is enough to find a floor.
-    let stride = (1.0 / lattice.cell).round().max(1.0) as i64;
+    // A column for every square metre is enough to find a floor, and in large scenes fewer are.
+    let mut stride = (1.0 / lattice.cell).round().max(1.0) as i64;
+    while lattice.cell_count() as f64 / (stride * stride) as f64 > MAX_COLUMNS {
+        stride *= 2;
+    }
     let is_column = |index: &usize| {
         let at = lattice.at(*index);
         (0..2).all(|axis| (lattice.first[axis] + at[axis] as i64).rem_euclid(stride) == stride / 2)
     };
-    let mut columns: Vec<usize> = (0..lattice.len()).filter(is_column).collect();
+    let mut columns: Vec<usize> = (0..lattice.cell_count()).filter(is_column).collect();
     if columns.is_empty() {
-        columns = (0..lattice.len()).collect();
+        columns = (0..lattice.cell_count()).collect();
     }
     let runs = columns.par_iter().map_init(RayScratch::default, |scratch, &index| {
         let at = lattice.centre(index);

@@ -14,6 +14,7 @@ pub mod proxy;
 pub mod search;
 pub mod signal;
 pub mod sites;
+pub mod survey;
 pub mod triangulation;
 
 use glam::DVec3;
@@ -21,10 +22,11 @@ use glam::DVec3;
 use crate::error::{Error, Result};
 use crate::scene::Bounds;
 
-pub use adaptive::{Adaptive, AdaptiveSettings, Sight, adaptive};
+pub use adaptive::{Adaptive, AdaptiveSettings, adaptive};
 pub use grid::grid;
 pub use interpolate::{Network, interpolate};
 pub use list::list;
+pub use survey::{Sight, Survey};
 
 /// A reflection probe: where its cubemap is taken and where it is used.
 #[derive(Debug, Clone, PartialEq)]

@@ -15,7 +15,7 @@ use crate::trace::ray::RayScratch;
 const CELL: f64 = 0.25;
 
 /// Most cells of a plan; larger bounds get larger cells.
-const MAX_CELLS: f64 = 65_536.0;
+const MAX_CELLS: f64 = 32_768.0;
 
 /// A rectangle of square cells in the plan (x, z).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -46,7 +46,7 @@ impl Lattice {
     }
 
     /// How many cells there are; their indices run along x first.
-    pub fn len(&self) -> usize {
+    pub fn cell_count(&self) -> usize {
         self.size[0] * self.size[1]
     }
 
@@ -100,11 +100,11 @@ impl Plan {
             let centre = lattice.centre(index);
             DVec3::new(centre.x, height, centre.y)
         };
-        let cells = (0..lattice.len()).into_par_iter();
+        let cells = (0..lattice.cell_count()).into_par_iter();
         let free: Vec<bool> =
             cells.map_init(RayScratch::default, |scratch, index| space.is_free(point(index), scratch)).collect();
         let open = [0, 1].map(|axis| {
-            let cells = (0..lattice.len()).into_par_iter();
+            let cells = (0..lattice.cell_count()).into_par_iter();
             let is_open = |scratch: &mut RayScratch, index: usize| {
                 let next = lattice.after(index, axis).filter(|&next| free[index] && free[next]);
                 next.is_some_and(|next| space.is_open(point(index), point(next), scratch))
@@ -206,14 +206,14 @@ pub mod tests {
         let size = [cells[0].len(), cells.len()];
         let lattice = Lattice { cell: 0.25, first: [0, 0], size };
         let flat: Vec<(char, bool)> = cells.into_iter().flatten().collect();
-        assert_eq!(flat.len(), lattice.len());
+        assert_eq!(flat.len(), lattice.cell_count());
         let free: Vec<bool> = flat.iter().map(|cell| cell.0 != '#').collect();
         let open = [0, 1].map(|axis| {
             let passes = |index: usize| {
                 let both = lattice.after(index, axis).is_some_and(|next| free[index] && free[next]);
                 both && !(axis == 0 && flat[index].1)
             };
-            (0..lattice.len()).map(passes).collect()
+            (0..lattice.cell_count()).map(passes).collect()
         });
         Plan { lattice, height: 1.5, free, open }
     }
@@ -230,15 +230,15 @@ pub mod tests {
     #[test]
     fn a_continent_has_no_more_cells_than_a_plan_may_hold() {
         let bounds = Bounds { min: DVec3::splat(-1e9), max: DVec3::splat(1e9) };
-        assert!(Lattice::over(&bounds).len() <= MAX_CELLS as usize);
+        assert!(Lattice::over(&bounds).cell_count() <= MAX_CELLS as usize);
         let point = Bounds { min: DVec3::splat(0.1), max: DVec3::splat(0.1) };
-        assert_eq!(Lattice::over(&point).len(), 1);
+        assert_eq!(Lattice::over(&point).cell_count(), 1);
     }
 
     #[test]
     fn a_thin_wall_parts_two_groups_and_a_blocked_cell_ends_its_links() {
         let mut plan = drawn(&["..|..", "..|..", "##|.."]);
-        let all: Vec<usize> = (0..plan.lattice.len()).collect();
+        let all: Vec<usize> = (0..plan.lattice.cell_count()).collect();
         assert_eq!(plan.groups(&all), [vec![0, 1, 4, 5], vec![2, 3, 6, 7, 10, 11]]);
         plan.block(&[6, 7]);
         assert_eq!(plan.groups(&all), [vec![0, 1, 4, 5], vec![2, 3], vec![10, 11]]);

@@ -24,7 +24,8 @@ pub struct Seen {
 const NEAREST: f64 = 0.05;
 const FARTHEST: f64 = 1000.0;
 
-/// Places tried for each wall in each round: quantiles of where the rays toward it end.
+/// Places tried for each wall in each round: quantiles of where the rays toward it end, from the nearest to the farthest;
+/// of a corridor's far end there are only a few rays.
 const CANDIDATES: usize = 16;
 
 /// Rounds over the six walls; after three, a room's walls move no more.
@@ -80,9 +81,8 @@ fn candidates(side: usize, seen: &[Seen]) -> Vec<f64> {
         return vec![FARTHEST];
     }
     reached.sort_by(f64::total_cmp);
-    let mut quantiles: Vec<f64> = (0..CANDIDATES)
-        .map(|i| reached[((2 * i + 1) * reached.len() / (2 * CANDIDATES)).min(reached.len() - 1)])
-        .collect();
+    let mut quantiles: Vec<f64> =
+        (0..CANDIDATES).map(|i| reached[i * (reached.len() - 1) / (CANDIDATES - 1)]).collect();
     quantiles.dedup();
     quantiles
 }

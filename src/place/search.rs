@@ -105,6 +105,8 @@ impl<'a> Search<'a> {
         };
         self.fill(&mut chosen);
         self.remove_predicted(&mut chosen);
+        // What was taken out under a budget has made room.
+        self.fill(&mut chosen);
         if chosen.probes.len() >= self.budget.probes {
             self.exchange(&mut chosen);
         }

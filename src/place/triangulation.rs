@@ -265,7 +265,7 @@ mod tests {
 
     fn level(rows: &[&str], probes: &[[f64; 2]]) -> Level {
         let plan = drawn(rows);
-        let all: Vec<usize> = (0..plan.lattice.len()).collect();
+        let all: Vec<usize> = (0..plan.lattice.cell_count()).collect();
         let parts = plan.groups(&all).iter().map(|group| plan.lattice.centre(group[0])).collect();
         let probes: Vec<_> = (0..).zip(probes.iter().map(|&[x, z]| DVec3::new(x, 1.5, z))).collect();
         Ground::new(HEIGHT, &Contours::of(&plan), parts).with_probes(&probes, |_, _| true)
