@@ -233,7 +233,7 @@ mod tests {
             ("--footprint", |job| job.footprint = Footprint::Train(0.5)),
             ("--footprint", |job| job.footprint = Footprint::Train(f64::INFINITY)),
             ("--t-near", |job| job.t_near = f32::NAN),
-            ("--background", |job| job.background[1] = -1.0),
+            ("--background", |job| job.background = [0.0, -1.0, 0.0].into()),
             ("--threads", |job| job.threads = usize::MAX),
             ("--face-size", |job| (job.placement.grid, job.face_size) = (Some([100, 10, 100]), 2048)),
         ];
