@@ -35,14 +35,28 @@ impl EnvironmentMap {
         for row in 0..height {
             let sine = (PI * (row as f64 + 0.5) / height as f64).sin();
             let mut sum = 0.0;
-            for texel in &map.texels[row * width..][..width] {
-                sum += f64::from(texel.element_sum()) * sine;
+            for column in 0..width {
+                sum += f64::from(map.mean_over(column, row)) * sine;
                 map.column_sums.push(sum);
             }
             total += sum;
             map.row_sums.push(total);
         }
         Some(map)
+    }
+
+    /// Mean brightness over a texel, into which its neighbours reach because radiance is linear between centres. Without
+    /// them what is bright beside a dark texel would only be found by chance.
+    fn mean_over(&self, column: usize, row: usize) -> f32 {
+        let mut sum = 0.0;
+        for (y, row_weight) in [(0, 0.125), (1, 0.75), (2, 0.125)] {
+            let row = (row + y).saturating_sub(1).min(self.height - 1);
+            for (x, column_weight) in [(self.width - 1, 0.125), (0, 0.75), (1, 0.125)] {
+                let column = (column + x) % self.width;
+                sum += row_weight * column_weight * self.texels[row * self.width + column].element_sum();
+            }
+        }
+        sum
     }
 
     /// Radiance from `direction`, which points away from the scene; linear between texel centres.
@@ -139,13 +153,15 @@ mod tests {
             solid_angle += 1.0 / f64::from(density) / f64::from(count);
             near_x += i32::from(direction.x > 0.9);
         }
-        // The mean of 1 / density is the solid angle of the texels that shine.
+        // The mean of 1 / density is the solid angle of the texels that shine, with those around them.
         let texel =
             |row: usize| 2.0 * PI / 64.0 * ((PI * row as f64 / 32.0).cos() - (PI * (row + 1) as f64 / 32.0).cos());
-        let expected = texel(16) + texel(15) + texel(0);
-        assert!((solid_angle / expected - 1.0).abs() < 0.01, "{solid_angle} {expected}");
-        let weight = |row: usize, value: f64| value * (PI * (row as f64 + 0.5) / 32.0).sin();
-        let share = 2.0 * weight(16, 300.0) / (2.0 * weight(16, 300.0) + weight(0, 600.0));
+        let expected = 3.0 * (texel(14) + texel(15) + texel(16) + texel(17) + texel(0) + texel(1));
+        assert!((solid_angle / expected - 1.0).abs() < 0.05, "{solid_angle} {expected}");
+        let sine = |row: usize| (PI * (row as f64 + 0.5) / 32.0).sin();
+        let (sides, top) =
+            (300.0 * 2.0 * (0.875 * sine(15) + 0.125 * sine(14)), 600.0 * (0.875 * sine(0) + 0.125 * sine(1)));
+        let share = sides / (sides + top);
         assert!((f64::from(near_x) / f64::from(count) - share).abs() < 0.01, "{near_x} {share}");
         assert_eq!(map.density(DVec3::NEG_Z), 0.0);
     }

@@ -145,7 +145,7 @@ mod tests {
         let mut counts = [0; 3];
         let mut mean = DVec3::ZERO;
         for i in 0..4096 {
-            let [u, v, w, _] = crate::shade::sampling::Sampler::new(5, i).next();
+            let [u, v, w, _] = crate::shade::sampling::Sampler::new(5, i).next_four();
             let sample = lights.sample_emitter([u, v, w]).unwrap();
             counts[sample.triangle as usize] += 1;
             if sample.triangle == 0 {

@@ -56,7 +56,7 @@ impl Sampler {
     }
 
     /// The point's next four coordinates, in [0, 1).
-    pub fn next(&mut self) -> [f32; 4] {
+    pub fn next_four(&mut self) -> [f32; 4] {
         let seed = hash(self.seed ^ hash(self.set));
         self.set += 1;
         let index = scramble(self.index, seed);
@@ -111,7 +111,7 @@ mod tests {
         for seed in [0, 1, 0xdead_beef] {
             for log in [2, 4, 8] {
                 let count = 1u32 << log;
-                let points: Vec<[f32; 4]> = (0..count).map(|i| Sampler::new(seed, i).next()).collect();
+                let points: Vec<[f32; 4]> = (0..count).map(|i| Sampler::new(seed, i).next_four()).collect();
                 for d in 0..4 {
                     let mut strata: Vec<u32> = points.iter().map(|p| (p[d] * count as f32) as u32).collect();
                     strata.sort_unstable();
@@ -135,9 +135,9 @@ mod tests {
         };
         let across_sets = mean(&|i| {
             let mut sampler = Sampler::new(3, i);
-            [sampler.next()[0], sampler.next()[0]]
+            [sampler.next_four()[0], sampler.next_four()[0]]
         });
-        let across_seeds = mean(&|i| [Sampler::new(3, i).next()[0], Sampler::new(4, i).next()[0]]);
+        let across_seeds = mean(&|i| [Sampler::new(3, i).next_four()[0], Sampler::new(4, i).next_four()[0]]);
         assert!(across_sets.abs() < 0.006 && across_seeds.abs() < 0.006, "{across_sets} {across_seeds}");
     }
 }

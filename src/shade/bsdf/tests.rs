@@ -6,7 +6,7 @@ use super::*;
 use crate::shade::sampling::Sampler;
 
 fn random(i: usize) -> Vec3 {
-    let [x, y, z, _] = Sampler::new(1, i as u32).next();
+    let [x, y, z, _] = Sampler::new(1, i as u32).next_four();
     Vec3::new(x, y, z)
 }
 

@@ -112,12 +112,12 @@ impl Walk<'_> {
         let mut footing = first;
         debug_assert!(ray.direction.is_normalized());
         for bounce in 0.. {
-            let [u0, u1, u2, u3] = sampler.next();
+            let [u0, u1, u2, u3] = sampler.next_four();
             let mut parameters = footing.parameters;
             if parameters.dispersion > 0.0 && parameters.transmission > 0.0 && parameters.thickness > 0.0 {
                 // A path is of one colour from the first dispersion on.
                 let channel = *channel.get_or_insert_with(|| {
-                    let channel = ((sampler.next()[0] * 3.0) as usize).min(2);
+                    let channel = ((sampler.next_four()[0] * 3.0) as usize).min(2);
                     throughput *= 3.0 * Vec3::AXES[channel];
                     channel
                 });
@@ -142,7 +142,7 @@ impl Walk<'_> {
                 throughput /= going_on;
             }
             let ray = footing.leave(direction);
-            let segment = self.segment(&ray, sampler.next()[0], scratch);
+            let segment = self.segment(&ray, sampler.next_four()[0], scratch);
             light += throughput * segment.radiance;
             if segment.transmittance > 0.0 {
                 let shared =
@@ -183,7 +183,7 @@ impl Walk<'_> {
     fn direct(&self, footing: &Footing, bsdf: &Bsdf, sampler: &mut Sampler, scratch: &mut RayScratch) -> Vec3 {
         let mut light = Vec3::ZERO;
         if !self.lights.has_no_punctual() {
-            let random = sampler.next()[0];
+            let random = sampler.next_four()[0];
             if let Some(drawn) = self.lights.sample_punctual(footing.position.as_vec3(), random) {
                 let direction = drawn.incident.to_light.as_dvec3().normalize();
                 let irradiance = drawn.incident.irradiance.0 / drawn.probability;
@@ -195,11 +195,11 @@ impl Walk<'_> {
             }
         }
         if !self.lights.has_no_emitters() {
-            let [u0, u1, u2, _] = sampler.next();
+            let [u0, u1, u2, _] = sampler.next_four();
             light += self.from_emitter(footing, bsdf, [u0, u1, u2], scratch).unwrap_or(Vec3::ZERO);
         }
         if self.tracer.scene.environment.is_some() {
-            let [u0, u1, ..] = sampler.next();
+            let [u0, u1, ..] = sampler.next_four();
             light += self.from_environment(footing, bsdf, [u0, u1], scratch).unwrap_or(Vec3::ZERO);
         }
         light
