@@ -60,7 +60,7 @@ fn measure(name: &str, mut scene: Scene, arguments: &Arguments) {
     let bounds = robust_bounds(&scene.splats.means).expect("Gaussians").translated(scene.origin);
     let surfaces = UnlitSurfaces::new(&scene.meshes);
     let settings = TraceSettings::default();
-    let tiles = BeamTracer { scene: &scene, bvh: &bvh, surfaces: &surfaces, settings, level: Level::best() };
+    let tiles = BeamTracer::new(&scene, &bvh, &surfaces, settings);
     let tracer = RayTracer { scene: &scene, bvh: &bvh, surfaces: &surfaces, settings };
     let sight = Sight { space: Space { tracer }, tiles: &tiles };
     let never = AtomicBool::new(false);

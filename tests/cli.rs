@@ -81,7 +81,7 @@ fn write_room(path: &Path) {
             mean[axis] = size[axis] * (side % 2) as f64;
             scale[axis] = 0.004_f64.ln();
             for (share, other) in [(i % 12, (axis + 1) % 3), (i / 12, (axis + 2) % 3)] {
-                mean[other as usize] = size[other as usize] * (f64::from(share) + 0.5) / 12.0;
+                mean[other] = size[other] * (f64::from(share) + 0.5) / 12.0;
             }
             let colour = [side, (side + 2) % 6, (side + 4) % 6].map(|value| value as f64 / 3.0 - 0.8);
             let values = mean.into_iter().chain(colour).chain([6.0]).chain(scale).chain([1.0, 0.0, 0.0, 0.0]);

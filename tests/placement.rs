@@ -7,11 +7,12 @@ use splatprobe::Error;
 use splatprobe::bvh::Bvh;
 use splatprobe::place::free_space::Space;
 use splatprobe::place::{Adaptive, AdaptiveSettings, Network, Sight, adaptive, interpolate};
-use splatprobe::scene::mesh::{Material, VertexAttributes};
+use splatprobe::scene::Material;
+use splatprobe::scene::mesh::VertexAttributes;
 use splatprobe::scene::{Bounds, LinearRgb, Scene, SplatEncoding};
 use splatprobe::shade::UnlitSurfaces;
 use splatprobe::trace::ray::RayScratch;
-use splatprobe::trace::{BeamTracer, Level, Ray, RayTracer, TraceSettings};
+use splatprobe::trace::{BeamTracer, Ray, RayTracer, TraceSettings};
 
 mod common;
 use common::Random;
@@ -83,7 +84,7 @@ fn with_sight<T>(rooms: &mut Rooms, test: impl FnOnce(&Sight) -> T) -> T {
     let bvh = Bvh::build(scene);
     let surfaces = UnlitSurfaces::new(&scene.meshes);
     let settings = TraceSettings::default();
-    let tiles = BeamTracer { scene, bvh: &bvh, surfaces: &surfaces, settings, level: Level::best() };
+    let tiles = BeamTracer::new(scene, &bvh, &surfaces, settings);
     let tracer = RayTracer { scene, bvh: &bvh, surfaces: &surfaces, settings };
     test(&Sight { space: Space { tracer }, tiles: &tiles })
 }

@@ -66,7 +66,7 @@ impl<'a> Lights<'a> {
             let strength = incident.irradiance.0.element_sum();
             (strength > 0.0 && strength.is_finite()).then_some((incident, strength))
         };
-        let total: f32 = self.punctual.iter().filter_map(|light| strength(light)).map(|(_, strength)| strength).sum();
+        let total: f32 = self.punctual.iter().filter_map(&strength).map(|(_, strength)| strength).sum();
         let mut rest = random * total;
         let mut drawn = None;
         for (incident, strength) in self.punctual.iter().filter_map(strength) {

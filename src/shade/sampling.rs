@@ -100,7 +100,8 @@ mod tests {
     #[test]
     fn the_sequence_is_joe_and_kuos() {
         // The unscrambled points 1 to 4 of their example program, times 8.
-        let sobol = |index: u32, d: usize| (0..32).fold(0, |x, bit| x ^ DIRECTIONS[d][bit] * (index >> bit & 1)) >> 29;
+        let sobol =
+            |index: u32, d: usize| (0..32).fold(0, |x, bit| x ^ (DIRECTIONS[d][bit] * (index >> bit & 1))) >> 29;
         let gray = |i: u32| i ^ i >> 1;
         let points: Vec<[u32; 3]> = (1..5).map(|i| [0, 1, 2].map(|d| sobol(gray(i), d))).collect();
         assert_eq!(points, [[4, 4, 4], [6, 2, 2], [2, 6, 6], [3, 3, 5]]);

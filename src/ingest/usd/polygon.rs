@@ -188,8 +188,7 @@ mod tests {
 
     #[test]
     fn convex_polygons_are_fans_of_any_size() {
-        let circle: Vec<DVec3> =
-            (0..10_000).map(|i| DVec3::from((DVec2::from_angle(f64::from(i) * 6.28e-4)).extend(3.0))).collect();
+        let circle: Vec<DVec3> = (0..10_000).map(|i| DVec2::from_angle(f64::from(i) * 6.28e-4).extend(3.0)).collect();
         assert_eq!(triangulate(&circle).unwrap()[7], [0, 8, 9]);
         let mut dented = circle;
         dented[5] *= 0.9;

@@ -196,16 +196,16 @@ impl Walk<'_> {
         }
         if !self.lights.has_no_emitters() {
             let [u0, u1, u2, _] = sampler.next_four();
-            light += self.from_emitter(footing, bsdf, [u0, u1, u2], scratch).unwrap_or(Vec3::ZERO);
+            light += self.light_from_emitter(footing, bsdf, [u0, u1, u2], scratch).unwrap_or(Vec3::ZERO);
         }
         if self.tracer.scene.environment.is_some() {
             let [u0, u1, ..] = sampler.next_four();
-            light += self.from_environment(footing, bsdf, [u0, u1], scratch).unwrap_or(Vec3::ZERO);
+            light += self.light_from_environment(footing, bsdf, [u0, u1], scratch).unwrap_or(Vec3::ZERO);
         }
         light
     }
 
-    fn from_environment(
+    fn light_from_environment(
         &self,
         footing: &Footing,
         bsdf: &Bsdf,
@@ -228,7 +228,13 @@ impl Walk<'_> {
         self.tracer.scene.environment.as_ref().map_or(0.0, |map| map.density(direction))
     }
 
-    fn from_emitter(&self, footing: &Footing, bsdf: &Bsdf, random: [f32; 3], scratch: &mut RayScratch) -> Option<Vec3> {
+    fn light_from_emitter(
+        &self,
+        footing: &Footing,
+        bsdf: &Bsdf,
+        random: [f32; 3],
+        scratch: &mut RayScratch,
+    ) -> Option<Vec3> {
         let drawn = self.lights.sample_emitter(random)?;
         let offset = drawn.position - footing.position;
         let direction = offset.try_normalize()?;

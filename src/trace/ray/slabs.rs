@@ -52,11 +52,11 @@ impl Slabs {
         for axis in 0..3 {
             let (low, high, inverse) = (self.viewpoint.low[axis], self.viewpoint.high[axis], self.inverse[axis]);
             let (mut to_min, mut to_max) = ([0.0f32; WIDTH], [0.0f32; WIDTH]);
-            for k in 0..WIDTH {
-                to_min[k] = (reached.min[axis][k] - high) * inverse;
+            for (distance, min) in to_min.iter_mut().zip(&reached.min[axis]) {
+                *distance = (min - high) * inverse;
             }
-            for k in 0..WIDTH {
-                to_max[k] = (reached.max[axis][k] - low) * inverse;
+            for (distance, max) in to_max.iter_mut().zip(&reached.max[axis]) {
+                *distance = (max - low) * inverse;
             }
             for k in 0..WIDTH {
                 let near = if to_min[k] < to_max[k] { to_min[k] } else { to_max[k] };
