@@ -126,7 +126,7 @@ pub struct Bake {
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_numbers::<3>, allow_hyphen_values = true, help_heading = "Placement")]
     probe: Vec<[f64; 3]>,
     /// Place probes where the blend of the others fails to predict what is there [default: false].
-    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL", conflicts_with_all = ["grid", "probe"], help_heading = "Placement")]
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL", help_heading = "Placement")]
     adaptive: Option<bool>,
     /// With --adaptive: heights in metres at which probes stand [default: found from floors and ceilings].
     #[arg(long, value_name = "Y,Y,...", value_delimiter = ',', allow_hyphen_values = true, help_heading = "Placement")]
@@ -220,6 +220,10 @@ impl Bake {
         describe("--missing-texture", self.missing_texture, &mut job.meshes, |input, it| input.missing_texture = it)?;
 
         // A flag for one kind of placement replaces the other kind in the job file.
+        if self.adaptive == Some(true) {
+            job.placement.grid = None;
+            job.placement.probes.clear();
+        }
         if self.grid.is_some() {
             job.placement.probes.clear();
             job.placement.adaptive = false;
@@ -229,10 +233,6 @@ impl Bake {
             job.placement.grid = None;
             job.placement.adaptive = false;
             job.placement.probes = self.probe;
-        }
-        if self.adaptive == Some(true) {
-            job.placement.grid = None;
-            job.placement.probes.clear();
         }
         if !self.levels.is_empty() {
             job.placement.levels = self.levels;
@@ -376,6 +376,8 @@ mod tests {
         let expected = r#"{"placement": {"adaptive": true, "levels": [-1.5, 2], "error": 0.25, "maxProbes": 7, "time": 1.5, "heldOut": 3}}"#;
         assert_eq!(job(&line).unwrap(), serde_json::from_str(expected).unwrap());
         assert!(!job(&["--adaptive=false", "--probe", "0,0,0"]).unwrap().placement.adaptive);
+        let both = job(&["--splats", "a.ply", "-o", "out", "--adaptive", "--probe", "0,0,0"]).unwrap();
+        assert!(both.validate().unwrap_err().to_string().contains("only one of"));
     }
 
     #[test]

@@ -81,8 +81,15 @@ impl<'a> Search<'a> {
         let near = (0..candidates.len()).into_par_iter().map_init(RayScratch::default, |scratch, i| {
             let mut others: Vec<usize> = (0..candidates.len()).collect();
             others.sort_by_cached_key(|&j| position(i).distance_squared(position(j)).to_bits());
-            others.truncate(NEAR);
-            others.retain(|&j| space.is_open(position(i), position(j), scratch));
+            // Those that do not see it count for nothing: what a wall hides must not take the place of what it does not.
+            others.retain({
+                let mut seen = 0;
+                move |&j| {
+                    let sees = seen < NEAR && space.is_open(position(i), position(j), scratch);
+                    seen += usize::from(sees);
+                    sees
+                }
+            });
             let error = |j: usize| {
                 let view = candidates[i].signal.view(position(j));
                 (j, signal::error(&view, &candidates[j].truth).min(UNPREDICTED))

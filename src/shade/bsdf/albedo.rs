@@ -7,7 +7,6 @@ use std::f32::consts::{FRAC_PI_2, TAU};
 use std::sync::LazyLock;
 
 use glam::{Vec2, Vec3};
-use rayon::prelude::*;
 
 use super::ggx::{Ggx, reflect, refract};
 use super::{fresnel, sheen};
@@ -164,7 +163,7 @@ struct Table<const D: usize> {
 }
 
 impl<const D: usize> Table<D> {
-    fn new(nodes: [usize; D], value: impl Fn([f32; D]) -> Vec2 + Sync) -> Self {
+    fn new(nodes: [usize; D], value: impl Fn([f32; D]) -> Vec2) -> Self {
         let at_node = |mut index: usize| {
             let mut coordinates = [0.0; D];
             for axis in (0..D).rev() {
@@ -174,7 +173,9 @@ impl<const D: usize> Table<D> {
             value(coordinates)
         };
         let count = nodes.iter().product();
-        Self { nodes, values: (0..count).into_par_iter().map(at_node).collect() }
+        // On one thread: tables are made when first asked for, by a worker thread, and workers that wait for the same table
+        // could not help it. (In parallel it hung.)
+        Self { nodes, values: (0..count).map(at_node).collect() }
     }
 
     fn at(&self, coordinates: [f32; D]) -> Vec2 {
