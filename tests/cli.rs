@@ -112,6 +112,7 @@ fn place_writes_the_probes_of_an_adaptive_bake_and_a_plan_but_no_images() {
     assert_eq!(placed["placement"], baked["placement"]);
     assert_eq!(placed["probes"].as_array().unwrap().len(), 3);
     assert_eq!(placed["probes"][0]["files"], json!([]));
+    data(folder.path(), "verify plan");
     for (placed, baked) in placed["probes"].as_array().unwrap().iter().zip(baked["probes"].as_array().unwrap()) {
         for field in ["id", "position", "influence", "proxy", "estimatedError"] {
             assert_eq!(placed[field], baked[field]);

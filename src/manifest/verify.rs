@@ -25,6 +25,8 @@ pub fn verify(path: &Path) -> Result<Vec<Error>> {
     let folder = path.parent().unwrap_or(Path::new(""));
     let mut problems = Vec::new();
     let mut ids = BTreeSet::new();
+    // A placement has images of no probe; a bake has some of each.
+    let has_images = manifest.probes.iter().any(|probe| !probe.files.is_empty());
     for (i, probe) in manifest.probes.iter().enumerate() {
         let place = |field: &str| format!("/probes/{i}{field}");
         if !ids.insert(&probe.id) {
@@ -34,7 +36,7 @@ pub fn verify(path: &Path) -> Result<Vec<Error>> {
                 format!("'{}' is the id of an earlier probe too", probe.id),
             ));
         }
-        if probe.files.is_empty() {
+        if has_images && probe.files.is_empty() {
             problems.push(Error::invalid(path, place("/files"), "the probe has no files"));
         }
         for (k, record) in probe.files.iter().enumerate() {
