@@ -10,7 +10,7 @@
 
 #[path = "../tests/common/mod.rs"]
 mod common;
-#[path = "../tests/lobes/mod.rs"]
+#[path = "../tests/light/lobes/mod.rs"]
 mod lobes;
 
 use std::time::Instant;

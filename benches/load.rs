@@ -8,7 +8,7 @@
 //!
 //! Times are medians over `--runs`, on all cores. Peak memory is that of one load, the mapped file and the scene included.
 
-#[path = "../tests/packed_files/mod.rs"]
+#[path = "../tests/ingest/packed_files/mod.rs"]
 mod packed_files;
 
 use std::path::{Path, PathBuf};

@@ -1,6 +1,8 @@
 //! Small scenes with known properties, shared by the integration tests.
 #![allow(dead_code)] // each test binary uses its part
 
+pub mod gltf;
+
 use glam::{DQuat, DVec3, Vec2, Vec3};
 use splatprobe::scene::Material;
 use splatprobe::scene::mesh::VertexAttributes;

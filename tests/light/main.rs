@@ -1,0 +1,8 @@
+//! Light on surfaces and in prefiltered cubemaps, against closed forms, furnaces and brute force.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod filter;
+mod lobes;
+mod path;
