@@ -19,8 +19,6 @@
 // index; the four gathers per entry alone cost more than evaluating the response. Multiplying the weights of every pair
 // whose key ranges overlap: exact too, but layers of a wall all overlap and a block paid 20 pairs per entry.
 
-use std::collections::VecDeque;
-
 use glam::{DVec3, Vec3};
 use pulp::Simd;
 
@@ -36,6 +34,31 @@ pub(super) const NARROW: usize = 16;
 /// Texels along the edge of a block with so many lanes.
 pub(super) const fn edge(lanes: usize) -> u32 {
     if lanes == WIDE { 8 } else { 4 }
+}
+
+/// Texels along the edge of the squares that a block's lanes go through one after the other: a vector of 16 lanes is a
+/// square, so that small Gaussians touch few vectors.
+pub(super) const QUAD: u32 = 4;
+
+/// Column and row of a lane in its block.
+const fn texel_of_lane(lanes: usize, lane: usize) -> [u32; 2] {
+    let (lane, quads_per_row) = (lane as u32, edge(lanes) / QUAD);
+    let (quad, inside) = (lane / (QUAD * QUAD), lane % (QUAD * QUAD));
+    [quad % quads_per_row * QUAD + inside % QUAD, quad / quads_per_row * QUAD + inside / QUAD]
+}
+
+/// The lane of a texel, by its column and row in the block.
+pub(super) const fn lane_of_texel(lanes: usize, [x, y]: [u32; 2]) -> usize {
+    let quad = y / QUAD * (edge(lanes) / QUAD) + x / QUAD;
+    (quad * QUAD * QUAD + y % QUAD * QUAD + x % QUAD) as usize
+}
+
+/// First and last column, and first and last row, that vector `v` of `width` lanes covers in its block.
+#[inline(always)]
+pub(super) fn texels_of_vector(lanes: usize, width: usize, v: usize) -> [[u32; 2]; 2] {
+    let [left, top] = texel_of_lane(lanes, v * width);
+    let [_, bottom] = texel_of_lane(lanes, (v + 1) * width - 1);
+    [[left, left + QUAD - 1], [top, bottom]]
 }
 
 /// Transmittance stops falling here. Nothing this faint is seen, and denormal numbers, which cost a hundred times more
@@ -81,8 +104,6 @@ pub(super) struct Entry<const N: usize> {
     before: Lanes<N>,
     /// Largest key of all earlier arrivals.
     latest: Lanes<N>,
-    /// Largest key.
-    pub key_max: f32,
     pub colour: Colour,
 }
 
@@ -93,7 +114,6 @@ impl<const N: usize> Entry<N> {
         alpha: Lanes::splat(0.0),
         before: Lanes::splat(0.0),
         latest: Lanes::splat(0.0),
-        key_max: f32::NEG_INFINITY,
         colour: Colour::Splat([0.0; 3]),
     };
 }
@@ -140,11 +160,44 @@ pub(super) struct Block<const N: usize> {
 #[derive(Default)]
 pub(super) struct Desk<const N: usize> {
     entries: Vec<Entry<N>>,
-    /// Slots of `entries`: those that no entry uses, those that wait for their turn to arrive (under their least key's
-    /// bits and their candidate's index, in that order), and those that have arrived, in that order.
+    /// Slots of `entries` that no entry uses.
     free: Vec<u32>,
-    waiting: VecDeque<(u64, u32)>,
-    open: Vec<u32>,
+    /// Entries that wait for their turn to arrive, in its order, from the `next` on.
+    waiting: Vec<Waiting>,
+    next: usize,
+    /// Entries that have arrived, in that order.
+    open: Vec<Open>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Waiting {
+    /// Bits of the entry's least key, and its candidate's index.
+    turn: u64,
+    slot: u32,
+    key_max: f32,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Open {
+    slot: u32,
+    /// Largest key.
+    key_max: f32,
+}
+
+/// Least and largest key of an entry.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct KeyRange {
+    pub min: f32,
+    pub max: f32,
+}
+
+impl KeyRange {
+    /// Of an entry that contributes nothing.
+    pub const EMPTY: Self = Self { min: f32::INFINITY, max: f32::NEG_INFINITY };
+
+    pub fn is_empty(self) -> bool {
+        self.min == f32::INFINITY
+    }
 }
 
 impl<const N: usize> Desk<N> {
@@ -168,24 +221,52 @@ impl<const N: usize> Desk<N> {
         self.free.push(slot);
     }
 
-    /// Lets the entry in `slot` wait until nothing can arrive before `key_min`, its least key. Of equal keys, that of the
-    /// lower `index` arrives first.
+    /// Lets the entry in `slot` wait until nothing can arrive before its least key. Of equal keys, that of the lower
+    /// `index` arrives first.
     #[inline(always)]
-    pub fn wait(&mut self, slot: u32, key_min: f32, index: u32) {
+    pub fn wait(&mut self, slot: u32, keys: KeyRange, index: u32) {
         // Keys are not negative, so their bit patterns order as they do.
-        let turn = u64::from(key_min.to_bits()) << 32 | u64::from(index);
+        let turn = u64::from(keys.min.to_bits()) << 32 | u64::from(index);
+        let waiting = Waiting { turn, slot, key_max: keys.max };
+        self.waiting.push(waiting);
         // Most come last, or nearly.
-        let mut place = self.waiting.len();
-        while place > 0 && self.waiting[place - 1].0 > turn {
+        let mut place = self.waiting.len() - 1;
+        while place > self.next && self.waiting[place - 1].turn > turn {
+            self.waiting[place] = self.waiting[place - 1];
             place -= 1;
         }
-        self.waiting.insert(place, (turn, slot));
+        self.waiting[place] = waiting;
+    }
+
+    fn is_empty(&self) -> bool {
+        self.open.is_empty() && self.next == self.waiting.len()
+    }
+
+    /// Takes the entry whose turn is next if that is before `limit`.
+    #[inline(always)]
+    fn take_before(&mut self, limit: u64) -> Option<Waiting> {
+        let first = self.waiting.get(self.next).copied().filter(|first| first.turn < limit)?;
+        self.next += 1;
+        Some(first)
+    }
+
+    /// The least key that waits.
+    #[inline(always)]
+    fn least_waiting(&mut self) -> f32 {
+        // Those taken make room once they outnumber those that wait, so that each is moved at most once.
+        if 2 * self.next >= self.waiting.len() {
+            self.waiting.copy_within(self.next.., 0);
+            self.waiting.truncate(self.waiting.len() - self.next);
+            self.next = 0;
+        }
+        self.waiting.get(self.next).map_or(f32::INFINITY, |first| f32::from_bits((first.turn >> 32) as u32))
     }
 
     /// Makes every slot free again.
     fn clear(&mut self) {
-        self.free.extend(self.waiting.drain(..).map(|(_, slot)| slot));
-        self.free.append(&mut self.open);
+        self.free.extend(self.waiting.drain(..).skip(self.next).map(|waiting| waiting.slot));
+        self.next = 0;
+        self.free.extend(self.open.drain(..).map(|open| open.slot));
     }
 }
 
@@ -201,8 +282,8 @@ pub(super) enum State {
 impl<const N: usize> Block<N> {
     /// The block whose first texel is (x, y) of the tile.
     pub fn new(tile: &Tile, x: u32, y: u32, t_near: f32) -> Self {
-        let lane_x = Lanes(std::array::from_fn(|lane| x as f32 + (lane as u32 % edge(N)) as f32 + 0.5));
-        let lane_y = Lanes(std::array::from_fn(|lane| y as f32 + (lane as u32 / edge(N)) as f32 + 0.5));
+        let lane_x = Lanes(std::array::from_fn(|lane| x as f32 + texel_of_lane(N, lane)[0] as f32 + 0.5));
+        let lane_y = Lanes(std::array::from_fn(|lane| y as f32 + texel_of_lane(N, lane)[1] as f32 + 0.5));
         // Lanes beyond the tile's edge have ended before they begin.
         let inside = |lane: usize| lane_x.0[lane] < tile.width as f32 && lane_y.0[lane] < tile.height as f32;
         let mut block = Self {
@@ -260,7 +341,7 @@ impl<const N: usize> Block<N> {
     /// Keeps the desk while something is unfinished.
     #[inline(always)]
     pub fn return_desk(&mut self, mut desk: Box<Desk<N>>, pool: &mut Vec<Box<Desk<N>>>) {
-        if self.state == State::Live && !(desk.open.is_empty() && desk.waiting.is_empty()) {
+        if self.state == State::Live && !desk.is_empty() {
             self.desk = Some(desk);
         } else {
             desk.clear();
@@ -280,15 +361,10 @@ impl<const N: usize> Block<N> {
         lane_colours: &[[Lanes<N>; 3]],
     ) {
         let limit = u64::from(bound.to_bits()) << 32;
-        let mut least = bound;
-        while let Some(&(turn, slot)) = desk.waiting.front() {
-            if turn >= limit {
-                least = f32::from_bits((turn >> 32) as u32).min(bound);
-                break;
-            }
-            desk.waiting.pop_front();
-            self.arrive(simd, desk, slot);
+        while let Some(Waiting { slot, key_max, .. }) = desk.take_before(limit) {
+            self.arrive(simd, desk, Open { slot, key_max });
         }
+        let least = desk.least_waiting().min(bound);
         self.settle(simd, desk, least, cutoff, lane_colours);
         if desk.open.len() > MAX_OPEN {
             self.state = State::Overflowed;
@@ -297,8 +373,9 @@ impl<const N: usize> Block<N> {
 
     /// Finds the transmittance before an entry, and dims what it precedes.
     #[inline(always)]
-    fn arrive<S: Simd>(&mut self, simd: S, desk: &mut Desk<N>, slot: u32) {
+    fn arrive<S: Simd>(&mut self, simd: S, desk: &mut Desk<N>, arrived: Open) {
         let Desk { entries, open, .. } = desk;
+        let slot = arrived.slot;
         let faintest = simd.splat_f32s(FAINTEST);
         for v in 0..N / S::F32_LANES {
             let entry = &entries[slot as usize];
@@ -314,7 +391,7 @@ impl<const N: usize> Block<N> {
             let behind_all = self.behind_all.get::<S>(v);
             let mut before = behind_all;
             let mut latest = self.latest.get::<S>(v);
-            for &j in open.iter().rev() {
+            for &Open { slot: j, .. } in open.iter().rev() {
                 // Where every earlier key is no larger, nothing earlier is preceded.
                 let preceded = simd.less_than_f32s(key, latest);
                 if simd.first_true_m32s(preceded) >= S::F32_LANES {
@@ -335,7 +412,7 @@ impl<const N: usize> Block<N> {
             self.behind_all.set::<S>(v, behind);
             self.latest.set::<S>(v, simd.max_f32s(self.latest.get::<S>(v), own_key));
         }
-        open.push(slot);
+        open.push(arrived);
     }
 
     /// Blends the arrived entries whose keys all lie below `bound`, the least key that may still arrive.
@@ -350,12 +427,12 @@ impl<const N: usize> Block<N> {
     ) {
         let mut kept = 0;
         for k in 0..desk.open.len() {
-            let slot = desk.open[k];
-            if desk.entries[slot as usize].key_max < bound {
-                self.blend(simd, &desk.entries[slot as usize], cutoff, lane_colours);
-                desk.free.push(slot);
+            let open = desk.open[k];
+            if open.key_max < bound {
+                self.blend(simd, &desk.entries[open.slot as usize], cutoff, lane_colours);
+                desk.free.push(open.slot);
             } else {
-                desk.open[kept] = slot;
+                desk.open[kept] = open;
                 kept += 1;
             }
         }
@@ -366,7 +443,7 @@ impl<const N: usize> Block<N> {
         } else if settled && self.all_ended(simd, cutoff) {
             // What is still open may precede, in some lane, what ended the ray; nothing yet to come can.
             for k in 0..desk.open.len() {
-                self.blend(simd, &desk.entries[desk.open[k] as usize], cutoff, lane_colours);
+                self.blend(simd, &desk.entries[desk.open[k].slot as usize], cutoff, lane_colours);
             }
             self.state = State::Done;
         }

@@ -14,7 +14,7 @@ mod walk;
 use glam::DVec3;
 use pulp::{Simd, WithSimd};
 
-use self::block::{Block, NARROW, WIDE, edge};
+use self::block::{Block, NARROW, WIDE, edge, lane_of_texel};
 use self::shade::Shader;
 use self::walk::Walk;
 use super::counters::{Counters, Tally};
@@ -134,8 +134,8 @@ impl BeamTracer<'_> {
         for (y, row) in (0..tile.height).zip(texels.chunks_mut(row_length)) {
             for (x, texel) in (0..tile.width).zip(row) {
                 let block = &blocks[(y / edge(N) * BLOCKS_PER_ROW + x / edge(N)) as usize];
-                let lane = y % edge(N) * edge(N) + x % edge(N);
-                *texel = block.radiance(lane as usize).unwrap_or_else(|| {
+                let lane = lane_of_texel(N, [x % edge(N), y % edge(N)]);
+                *texel = block.radiance(lane).unwrap_or_else(|| {
                     fallback_rays += 1;
                     let ray = Ray { origin, direction: tile.direction(x, y) };
                     exact.trace(&ray, scratch.get_or_insert_with(RayScratch::default))

@@ -47,7 +47,8 @@ pub(super) struct Candidate {
     pub colour: [f32; 3],
     /// Into the scene's Gaussians, or its triangles when [`Candidate::TRIANGLE`] is set.
     pub index: u32,
-    /// First and last row of texels that it may touch.
+    /// First and last column and row of texels that it may touch.
+    pub columns: [i16; 2],
     pub rows: [i16; 2],
     /// Blocks it may touch.
     pub blocks: u64,
@@ -237,6 +238,7 @@ impl Projection {
             key_low: at(&lanes.mean_distance) as f32,
             colour: [0.0; 3],
             index: self.batch.index[lane],
+            columns: view.columns,
             rows: view.rows,
             blocks: view.blocks,
         };
@@ -285,6 +287,7 @@ impl Projection {
             key_low: key_low as f32,
             colour: [0.0; 3],
             index: index | Candidate::TRIANGLE,
+            columns: view.columns,
             rows: view.rows,
             blocks: view.blocks,
         })
@@ -303,7 +306,7 @@ impl Projection {
         }
         let block = |texel: i32| texel as u32 / self.block_edge;
         let blocks = block_mask([block(left), block(right)], [block(top), block(bottom)]);
-        Some(View { rows: [top as i16, bottom as i16], blocks })
+        Some(View { columns: [left as i16, right as i16], rows: [top as i16, bottom as i16], blocks })
     }
 }
 
@@ -323,6 +326,7 @@ fn set_forms<S: Simd>(simd: S, v: usize, forms: &mut [Lanes; 3], axis: Vector3<S
 
 /// Where in a tile something may be seen.
 struct View {
+    columns: [i16; 2],
     rows: [i16; 2],
     blocks: u64,
 }

@@ -4,7 +4,7 @@ use glam::DVec3;
 use pulp::Simd;
 
 use super::BeamTracer;
-use super::block::{Block, Colour, Desk, Entry, Lanes, State, edge};
+use super::block::{Block, Colour, Desk, Entry, KeyRange, Lanes, State, edge, texels_of_vector};
 use super::project::{Candidate, LOG2_ALPHA_MIN};
 use crate::job::{Order, ShDirection};
 use crate::scene::sh;
@@ -97,26 +97,26 @@ impl<'a, const N: usize> Shader<'a, N> {
         let mut desk = block.take_desk(&mut self.desks);
         let mut rest = list.iter();
         loop {
-            let mut batch = [(0u32, f32::INFINITY, 0u32); BATCH];
+            let mut batch = [(0u32, KeyRange::EMPTY, 0u32); BATCH];
             let mut filled = 0;
             let mut next = bound;
             for &listed in rest.by_ref() {
                 let candidate = &chunk[listed as u32 as usize];
                 let slot = desk.slot();
-                let key_min = if candidate.is_gaussian() {
+                let keys = if candidate.is_gaussian() {
                     self.evaluate(simd, block, candidate, desk.entry(slot))
                 } else {
                     self.intersect(block, candidate, desk.entry(slot))
                 };
-                batch[filled] = (slot, key_min, candidate.index);
+                batch[filled] = (slot, keys, candidate.index);
                 filled += 1;
                 if filled == BATCH {
                     next = f32::from_bits((listed >> 32) as u32).min(bound);
                     break;
                 }
             }
-            for &(slot, key_min, index) in &batch[..filled] {
-                if key_min < f32::INFINITY { desk.wait(slot, key_min, index) } else { desk.release(slot) }
+            for &(slot, keys, index) in &batch[..filled] {
+                if keys.is_empty() { desk.release(slot) } else { desk.wait(slot, keys, index) }
             }
             block.advance(simd, &mut desk, next, cutoff, &self.lane_colours);
             if filled < BATCH || block.state != State::Live {
@@ -126,22 +126,29 @@ impl<'a, const N: usize> Shader<'a, N> {
         block.return_desk(desk, &mut self.desks);
     }
 
-    /// Makes the entry of a Gaussian; returns its least key, infinity if no lane sees it respond with at least
-    /// 1/255 where it still counts.
+    /// Makes the entry of a Gaussian; its keys are empty if no lane sees it respond with at least 1/255 where it still
+    /// counts.
     #[inline(always)]
-    fn evaluate<S: Simd>(&mut self, simd: S, block: &Block<N>, candidate: &Candidate, entry: &mut Entry<N>) -> f32 {
+    fn evaluate<S: Simd>(
+        &mut self,
+        simd: S,
+        block: &Block<N>,
+        candidate: &Candidate,
+        entry: &mut Entry<N>,
+    ) -> KeyRange {
         let Candidate { u, s, h, falloff, log2_opacity, depth, .. } = *candidate;
         let fixed_key = (self.tracer.settings.order == Order::CameraDistance).then_some(candidate.key_low);
         let (nowhere, infinity) = (simd.splat_f32s(f32::NEG_INFINITY), simd.splat_f32s(f32::INFINITY));
         let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
         let (mut key_min, mut key_max) = (infinity, nowhere);
-        // The lanes of the rows that it touches.
-        let top = block.y.0[0] as i32;
-        let lane_of_row = |row: i32| ((row - top).clamp(0, edge(N) as i32) as u32 * edge(N)) as usize;
-        let lanes = lane_of_row(candidate.rows[0].into())..lane_of_row(i32::from(candidate.rows[1]) + 1);
+        let (left, top) = (block.x.0[0] as i32, block.y.0[0] as i32);
+        let columns = candidate.columns.map(|column| i32::from(column) - left);
+        let rows = candidate.rows.map(|row| i32::from(row) - top);
         for v in 0..N / S::F32_LANES {
             let near_depth = block.near_depth.get::<S>(v);
-            let outside = (v + 1) * S::F32_LANES <= lanes.start || v * S::F32_LANES >= lanes.end;
+            let [across, down] = texels_of_vector(N, S::F32_LANES, v).map(|ends| ends.map(|end| end as i32));
+            let outside =
+                (columns[0] > across[1]) | (columns[1] < across[0]) | (rows[0] > down[1]) | (rows[1] < down[0]);
             if outside || simd.first_true_m32s(simd.less_than_f32s(near_depth, infinity)) >= S::F32_LANES {
                 entry.key.set::<S>(v, nowhere);
                 entry.depth.set::<S>(v, zero);
@@ -176,9 +183,8 @@ impl<'a, const N: usize> Shader<'a, N> {
         }
         let key_min = simd.reduce_min_f32s(key_min);
         if key_min == f32::INFINITY {
-            return key_min;
+            return KeyRange::EMPTY;
         }
-        entry.key_max = simd.reduce_max_f32s(key_max);
         if self.tracer.counters.is_some() {
             self.tally.contributions += entry.alpha.0.iter().filter(|&&alpha| alpha > 0.0).count() as u64;
         }
@@ -189,18 +195,18 @@ impl<'a, const N: usize> Shader<'a, N> {
             (ShDirection::Ray, false) => Colour::SplatLanes(self.colours_along_rays(block, candidate.index as usize)),
             (ShDirection::Ray, true) => Colour::LinearLanes(self.colours_along_rays(block, candidate.index as usize)),
         };
-        key_min
+        KeyRange { min: key_min, max: simd.reduce_max_f32s(key_max) }
     }
 
-    /// Makes the entry of a triangle; returns its least key, infinity if no lane sees it.
-    fn intersect(&mut self, block: &mut Block<N>, candidate: &Candidate, entry: &mut Entry<N>) -> f32 {
+    /// Makes the entry of a triangle; its keys are empty if no lane sees it.
+    fn intersect(&mut self, block: &mut Block<N>, candidate: &Candidate, entry: &mut Entry<N>) -> KeyRange {
         let index = candidate.triangle();
         let (scene, surfaces) = (self.tracer.scene, self.tracer.surfaces);
         let corners = scene.meshes.corners(index as usize).map(|corner| corner.as_dvec3() - self.origin);
         let (double_sided, opaque) = (surfaces.is_double_sided(index), surfaces.is_opaque(index));
         let mut colours = [Lanes::splat(0.0); 3];
         *entry = Entry::EMPTY;
-        let mut key_min = f32::INFINITY;
+        let mut keys = KeyRange::EMPTY;
         for lane in 0..N {
             if block.near_depth.0[lane] == f32::INFINITY {
                 continue;
@@ -231,17 +237,17 @@ impl<'a, const N: usize> Shader<'a, N> {
                 Order::CameraDistance => met.distance as f32,
             };
             entry.alpha.0[lane] = fragment.alpha;
-            key_min = key_min.min(entry.key.0[lane]);
-            entry.key_max = entry.key_max.max(entry.key.0[lane]);
+            keys.min = keys.min.min(entry.key.0[lane]);
+            keys.max = keys.max.max(entry.key.0[lane]);
             for (channel, value) in colours.iter_mut().zip(fragment.radiance.0.to_array()) {
                 channel.0[lane] = value;
             }
         }
-        if key_min < f32::INFINITY {
+        if !keys.is_empty() {
             entry.colour = Colour::LinearLanes(self.lane_colours.len() as u32);
             self.lane_colours.push(colours);
         }
-        key_min
+        keys
     }
 
     fn colours_along_rays(&mut self, block: &Block<N>, index: usize) -> u32 {
