@@ -13,8 +13,8 @@
 //! ingest     files -> scene, in physical units; one file per format
 //! bvh        one tree over the boxes of Gaussians and triangles
 //! trace      radiance along rays: reference, ray, beam
-//! shade      what leaves a surface: textures, materials, BSDF, lights, path tracing
 //! filter     cubemaps for rough and diffuse reflection: GGX, Lambert, spherical harmonics
+//! shade      what leaves a surface: textures, materials, BSDF, lights, path tracing
 //! place      where probes stand and how far they reach
 //! bake       probes -> cubemaps, on all cores
 //! encode     cubemaps -> bytes: EXR, PNG
@@ -42,9 +42,9 @@ pub mod bvh;
 
 pub mod trace;
 
-pub mod shade;
-
 pub mod filter;
+
+pub mod shade;
 
 pub mod place;
 

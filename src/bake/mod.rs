@@ -96,6 +96,10 @@ pub struct ProbeStatistics {
     /// Distances of what was seen, in metres; `None` where nothing was.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub distance: Option<DistanceStatistics>,
+    /// Share of directions in which the nearest mesh shows a back that no ray sees: 1 inside a closed mesh. `None` without
+    /// meshes.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub hidden_backs: Option<f64>,
     /// Noise of surfaces that were lit by path tracing; `None` where there were none.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub surface_noise: Option<SurfaceNoise>,

@@ -158,6 +158,7 @@ impl<Sink: Fn(usize, Cubemap, ProbeStatistics) -> Result<()> + Sync> Bake<'_, Si
                 mean: sums.distance / sums.coverage,
                 max: f64::from(sums.max_distance),
             }),
+            hidden_backs: None,
             surface_noise: None,
         }
     }

@@ -172,6 +172,9 @@ pub struct Bake {
     /// How light leaves a mesh's surface [default: unlit].
     #[arg(long, value_name = "MODEL", help_heading = "Tracing")]
     surface: Option<Surface>,
+    /// Darken Gaussians near meshes by the ambient light that the meshes keep from them [default: false].
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL", help_heading = "Tracing")]
+    mesh_shadows: Option<bool>,
     /// Refine surfaces lit by path tracing to this standard error, a share of their light; 0 always takes --max-paths
     /// [default: 0.02].
     #[arg(long, value_name = "SHARE", help_heading = "Tracing")]
@@ -270,6 +273,7 @@ impl Bake {
         set(&mut job.t_cutoff, self.t_cutoff);
         set(&mut job.t_near, self.t_near);
         set(&mut job.surface, self.surface);
+        set(&mut job.mesh_shadows, self.mesh_shadows);
         set(&mut job.noise, self.noise);
         set(&mut job.max_paths, self.max_paths);
         set(&mut job.tracer, self.tracer);

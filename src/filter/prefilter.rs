@@ -1,5 +1,7 @@
 //! Cubemaps convolved with reflection lobes.
 
+use glam::Vec3;
+
 use super::cubemap::{RgbCubemap, direction};
 use super::lobe::Lobe;
 use super::sampler::Sampler;
@@ -50,6 +52,19 @@ impl Prefilter {
         &self.mips[0]
     }
 
+    /// The mean radiance over about `solid_angle` steradians around `direction`, which has unit length: between the two
+    /// mips whose texels are nearest to it in size.
+    pub fn mean_radiance(&self, direction: Vec3, solid_angle: f32) -> Vec3 {
+        // Mean edge of a texel of that solid angle, in texels of the source.
+        let edge = f64::from(self.sizes[0]) * (f64::from(solid_angle) * 6.0 / (4.0 * std::f64::consts::PI)).sqrt();
+        let lod = edge.max(1.0).log2().min((self.sizes.len() - 1) as f64) as f32;
+        let finer = self.mips[lod as usize].radiance(direction);
+        match self.mips.get(lod as usize + 1) {
+            Some(coarser) if lod.fract() > 0.0 => finer.lerp(coarser.radiance(direction), lod.fract()),
+            _ => finer,
+        }
+    }
+
     /// What a surface of perceptual `roughness` (0 to 1) reflects, by reflected direction, in faces of `size` texels.
     ///
     /// The split sum's first part: the mean of radiance over GGX's lobe for N = V = R, weighted by the cosine and divided
@@ -94,10 +109,10 @@ struct Row<'a, Normals> {
     mips: &'a [Sampler],
     lobe: &'a Lobe,
     normals: Normals,
-    row: &'a mut [glam::Vec3],
+    row: &'a mut [Vec3],
 }
 
-impl<Normals: Fn(usize) -> glam::Vec3> pulp::WithSimd for Row<'_, Normals> {
+impl<Normals: Fn(usize) -> Vec3> pulp::WithSimd for Row<'_, Normals> {
     type Output = ();
 
     #[inline(always)]

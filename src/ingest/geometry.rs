@@ -93,6 +93,7 @@ impl Geometry {
         let stored: Vec<Vec3> =
             self.positions.iter().map(|&p| stored_from_geometry.transform_point3(p).as_vec3()).collect();
         let mut appended_as = vec![None; stored.len()];
+        meshes.part_starts.push(meshes.positions.len() as u32);
         for &[a, b, c] in &self.triangles {
             let triangle = if mirrored { [a, c, b] } else { [a, b, c] };
             let corners = triangle.map(|v| stored[v as usize]);

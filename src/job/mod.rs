@@ -56,6 +56,9 @@ pub enum Surface {
     /// Base colour as if lit evenly, plus emission; no light transport. The default.
     #[default]
     Unlit,
+    /// Lit by a small cubemap around the middle of each part of the meshes, and by lights with their shadows: free of noise
+    /// and fast, but blind to what changes over a part.
+    Probe,
     /// Lit by all that the surface sees, by path tracing: Gaussians, other surfaces, lights and background.
     Path,
 }
@@ -200,6 +203,8 @@ pub struct Job {
     pub t_near: f32,
     /// How light leaves a mesh's surface. Default: unlit.
     pub surface: Surface,
+    /// Whether Gaussians near meshes are darkened by the ambient light that the meshes keep from them. Default: false.
+    pub mesh_shadows: bool,
     /// Noise of surfaces that are lit by path tracing: each is refined until its reflected light is known to this share of
     /// it (standard error; where it is darker than 1/20 of paper white, to this share of that). 0 refines each to
     /// `maxPaths`. Default: 0.02.
@@ -275,6 +280,7 @@ impl Default for Job {
             t_cutoff: 1.0 / 2048.0,
             t_near: 0.0,
             surface: Surface::default(),
+            mesh_shadows: false,
             noise: 0.02,
             max_paths: 1024,
             tracer: Tracer::default(),

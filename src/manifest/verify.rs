@@ -272,7 +272,13 @@ mod tests {
             priority: 0,
             files: vec![record],
             sh: ShRecord { degree: 2, basis: ShRecord::BASIS.into(), coefficients: vec![[0.0; 3]; 9], windowed: None },
-            statistics: ProbeStatistics { mean_coverage: 1.0, distance: None, rays: 96, surface_noise: None },
+            statistics: ProbeStatistics {
+                mean_coverage: 1.0,
+                distance: None,
+                rays: 96,
+                hidden_backs: None,
+                surface_noise: None,
+            },
             estimated_error: None,
         };
         let path = folder.join(FILE_NAME);

@@ -24,8 +24,9 @@ use crate::place::adaptive::PlacementSeconds;
 use crate::place::free_space::Space;
 use crate::place::{Sight, signal};
 use crate::scene::Scene;
-use crate::shade::{PathSettings, PathSurfaces, UnlitSurfaces};
+use crate::shade::{LocallyLitSurfaces, PathSettings, PathSurfaces, UnlitSurfaces, local, shadows};
 use crate::trace::footprint;
+use crate::trace::ray::RayScratch;
 use crate::trace::{
     BeamTracer, CounterReport, Counters, Footprint, RayTracer, ReferenceTracer, Surfaces, TileTracer, TraceSettings,
 };
@@ -116,6 +117,9 @@ fn run(asked: &Job, job: &Job, progress: &dyn Progress, cancel: &AtomicBool) -> 
     }
     let loaded = Instant::now();
     let bvh = Bvh::build(&mut scene);
+    if job.mesh_shadows {
+        shadows::darken(&mut scene, &bvh, trace_settings(job, order, job.face_size * job.samples));
+    }
     let built = Instant::now();
 
     let ray_angle = footprint::ray_angle(job.face_size * job.samples);
@@ -144,7 +148,15 @@ fn run(asked: &Job, job: &Job, progress: &dyn Progress, cancel: &AtomicBool) -> 
         let settings = PathSettings { noise: job.noise, max_paths: job.max_paths, ..PathSettings::default() };
         PathSurfaces::new(&scene, &bvh, rules, settings, &origins).for_rays_of(ray_angle)
     });
-    let surfaces: &dyn Surfaces = lit.as_ref().map_or(&unlit, |lit| lit);
+    let locally_lit = (job.surface == Surface::Probe)
+        .then(|| LocallyLitSurfaces::new(&scene, &bvh, trace_settings(job, order, local::FACE_SIZE)))
+        .transpose()?
+        .map(|surfaces| surfaces.for_rays_of(ray_angle));
+    let surfaces: &dyn Surfaces = match (&lit, &locally_lit) {
+        (Some(lit), _) => lit,
+        (_, Some(lit)) => lit,
+        _ => &unlit,
+    };
     let counters = (job.stats.is_some() && job.tracer == Tracer::Beam).then(|| Counters::new(scene.splats.len()));
     let tracer = tracer(job, rules, &scene, &bvh, surfaces, counters.as_ref());
     let mut output = Output::begin(job, probes.len())?;
@@ -155,7 +167,9 @@ fn run(asked: &Job, job: &Job, progress: &dyn Progress, cancel: &AtomicBool) -> 
     bake::bake_probes(&*tracer, &scene, probes, &settings, progress, cancel, |index, cubemap, statistics| {
         scene.meshes.check_textures()?;
         let surface_noise = lit.as_ref().and_then(|lit| lit.noise_of(origins[index]));
-        let statistics = ProbeStatistics { surface_noise, ..statistics };
+        let hidden_backs = (!scene.meshes.triangles.is_empty())
+            .then(|| sight.space.hidden_backs(probes[index].position, &mut RayScratch::default()));
+        let statistics = ProbeStatistics { hidden_backs, surface_noise, ..statistics };
         output.write_probe(index, &probes[index], cubemap, statistics)
     })?;
     let mut rays_per_probe = settings.rays_per_probe();

@@ -3,14 +3,13 @@
 //! DDGI moves and classifies probes by the share of rays that meet back faces (Majercik et al. 2019; RTXGI's probe
 //! relocation and classification). Gaussians have no back: here opacity around the point and escaping rays decide.
 
-use std::f64::consts::TAU;
-
 use glam::DVec3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::shade::sampling::fibonacci;
 use crate::trace::ray::RayScratch;
-use crate::trace::{Ray, RayTracer, SurfaceHit};
+use crate::trace::{EverySurface, Ray, RayTracer, SurfaceHit};
 
 /// A segment of which less passes is blocked.
 pub const OPEN: f32 = 0.5;
@@ -71,6 +70,25 @@ impl Space<'_> {
         self.transmittance(from, to, scratch) >= OPEN
     }
 
+    /// Share of directions from `point` in which the nearest surface shows a back that no ray sees: 1 inside a closed mesh, whose
+    /// walls a cubemap then misses. 0 where there are no surfaces.
+    pub fn hidden_backs(&self, point: DVec3, scratch: &mut RayScratch) -> f64 {
+        let tracer = RayTracer { surfaces: &EverySurface, ..self.tracer };
+        let origin = point - tracer.scene.origin;
+        let shows_back = |direction: DVec3, scratch: &mut RayScratch| {
+            let mut nearest: Option<SurfaceHit> = None;
+            tracer.transmittance(&Ray { origin, direction }, f64::INFINITY, scratch, &mut |hit| {
+                if nearest.is_none_or(|nearest| hit.distance < nearest.distance) {
+                    nearest = Some(*hit);
+                }
+                0.0
+            });
+            nearest.is_some_and(|hit| !hit.front && !self.tracer.surfaces.is_double_sided(hit.triangle))
+        };
+        let backs = (0..RAYS).filter(|&i| shows_back(fibonacci(i, RAYS), scratch)).count();
+        backs as f64 / RAYS as f64
+    }
+
     /// Whether little opacity surrounds `point`: along the axes and the diagonals.
     pub fn is_free(&self, point: DVec3, scratch: &mut RayScratch) -> bool {
         let mut passed = 0.0;
@@ -116,16 +134,6 @@ fn body_directions() -> impl Iterator<Item = DVec3> {
     let sign = |bit: usize, i: usize| if i >> bit & 1 == 0 { 1.0 } else { -1.0 };
     let diagonals = (0..8).map(move |i| DVec3::new(sign(0, i), sign(1, i), sign(2, i)).normalize());
     axes.into_iter().chain(diagonals)
-}
-
-/// The `i`-th of `count` unit directions spread evenly over the sphere (Fibonacci lattice: equal steps in height, a
-/// golden section of a turn each).
-pub fn fibonacci(i: usize, count: usize) -> DVec3 {
-    const GOLDEN: f64 = 0.618_033_988_749_894_9;
-    let y = 1.0 - (2 * i + 1) as f64 / count as f64;
-    let (sin, cos) = (TAU * (i as f64 * GOLDEN).fract()).sin_cos();
-    let radius = (1.0 - y * y).sqrt();
-    DVec3::new(radius * cos, y, radius * sin)
 }
 
 #[cfg(test)]

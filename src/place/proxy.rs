@@ -90,7 +90,7 @@ fn candidates(side: usize, seen: &[Seen]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::place::free_space::fibonacci;
+    use crate::shade::sampling::fibonacci;
 
     const ROOM: Bounds = Bounds { min: DVec3::new(-2.0, 0.0, -1.0), max: DVec3::new(9.0, 2.7, 1.2) };
 

@@ -2,12 +2,12 @@
 
 use glam::{DVec3, Vec3};
 
-use super::free_space::fibonacci;
 use super::interpolate::parallax_corrected;
 use super::proxy::{self, Seen};
 use crate::error::Result;
 use crate::filter::{Prefilter, RgbCubemap, Sampler, ShRadiance, cubemap::solid_angles};
 use crate::scene::{Bounds, Scene};
+use crate::shade::sampling::fibonacci;
 use crate::trace::{Face, Radiance, Tile, TileTracer};
 
 /// Texels along an edge of a face.

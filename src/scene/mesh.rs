@@ -20,6 +20,9 @@ pub struct Meshes {
     pub triangles: Vec<[u32; 3]>,
     /// Index into `materials`, one per triangle.
     pub triangle_materials: Vec<u32>,
+    /// First vertex of each part: what one placement of one geometry of a file became. Ascending, and parts share no
+    /// vertices.
+    pub part_starts: Vec<u32>,
     /// Materials of all inputs; glTF's default material is stored like any other.
     pub materials: Vec<Material>,
     /// Textures of all inputs.
@@ -52,6 +55,12 @@ impl Meshes {
     /// The material of triangle `i`.
     pub fn material_of(&self, i: usize) -> &Material {
         &self.materials[self.triangle_materials[i] as usize]
+    }
+
+    /// The part that triangle `i` belongs to; 0 where parts are not known.
+    pub fn part_of(&self, i: usize) -> usize {
+        let vertex = self.triangles[i][0];
+        self.part_starts.partition_point(|&start| start <= vertex).saturating_sub(1)
     }
 
     /// The tangent of vertex `v`; zero when it has none.

@@ -41,6 +41,16 @@ const fn directions() -> [[u32; 32]; 4] {
     directions
 }
 
+/// The `i`-th of `count` unit directions spread evenly over the sphere (Fibonacci lattice: equal steps in height, a
+/// golden section of a turn each).
+pub fn fibonacci(i: usize, count: usize) -> glam::DVec3 {
+    const GOLDEN: f64 = 0.618_033_988_749_894_9;
+    let y = 1.0 - (2 * i + 1) as f64 / count as f64;
+    let (sin, cos) = (std::f64::consts::TAU * (i as f64 * GOLDEN).fract()).sin_cos();
+    let radius = (1.0 - y * y).sqrt();
+    glam::DVec3::new(radius * cos, y, radius * sin)
+}
+
 /// One point of a sequence, whose coordinates are asked for four at a time.
 #[derive(Debug, Clone)]
 pub struct Sampler {

@@ -145,3 +145,21 @@ pub trait Surfaces: Sync {
     /// The light that leaves the hit toward the ray's origin.
     fn fragment(&self, ray: &Ray, hit: &SurfaceHit) -> Fragment;
 }
+
+/// Surfaces that hold nothing back and are seen from both sides, so that a ray hears of each one on its way.
+#[derive(Debug, Clone, Copy)]
+pub struct EverySurface;
+
+impl Surfaces for EverySurface {
+    fn is_opaque(&self, _: u32) -> bool {
+        false
+    }
+
+    fn is_double_sided(&self, _: u32) -> bool {
+        true
+    }
+
+    fn fragment(&self, _: &Ray, _: &SurfaceHit) -> Fragment {
+        Fragment { alpha: 0.0, radiance: LinearRgb(glam::Vec3::ZERO) }
+    }
+}

@@ -3,6 +3,10 @@
 #[path = "../common/mod.rs"]
 mod common;
 
+mod enclosure;
 mod filter;
 mod lobes;
 mod path;
+mod probe;
+mod scenes;
+mod shadows;

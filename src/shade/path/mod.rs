@@ -12,13 +12,12 @@ use std::cell::RefCell;
 use glam::{DVec3, Vec3};
 
 use self::noise::NoiseSums;
-use self::walk::{Footing, Walk};
+use self::walk::Walk;
+use super::footing::{self, Footing, lit_fragment};
 use super::lights::Lights;
-use super::material::SurfacePoint;
 use super::sampling::{Sampler, hash_all};
 use crate::bvh::Bvh;
-use crate::scene::material::{AlphaMode, Material};
-use crate::scene::{LinearRgb, Scene};
+use crate::scene::Scene;
 use crate::trace::ray::RayScratch;
 use crate::trace::{Fragment, Ray, RayTracer, SurfaceHit, Surfaces, TraceSettings};
 
@@ -133,37 +132,14 @@ impl<'a> PathSurfaces<'a> {
 
 impl Surfaces for PathSurfaces<'_> {
     fn is_opaque(&self, triangle: u32) -> bool {
-        self.scene.meshes.material_of(triangle as usize).alpha == AlphaMode::Opaque
+        footing::is_opaque(&self.scene.meshes, triangle)
     }
 
     fn is_double_sided(&self, triangle: u32) -> bool {
-        let material = self.scene.meshes.material_of(triangle as usize);
-        material.double_sided || bounds_volume(material)
+        footing::is_double_sided(&self.scene.meshes, triangle)
     }
 
     fn fragment(&self, ray: &Ray, hit: &SurfaceHit) -> Fragment {
-        let nothing = Fragment { alpha: 0.0, radiance: LinearRgb(Vec3::ZERO) };
-        if !hit.front && !self.is_double_sided(hit.triangle) {
-            return nothing;
-        }
-        let width = self.ray_angle * hit.distance as f32;
-        let point = SurfacePoint::new(&self.scene.meshes, ray, hit, width);
-        if point.material.unlit {
-            let (base_colour, alpha) = point.base_colour_and_coverage();
-            return Fragment { alpha, radiance: LinearRgb(base_colour) };
-        }
-        let material = point.evaluate();
-        if material.coverage == 0.0 {
-            return nothing;
-        }
-        let emission = material.emission.0;
-        let footing = Footing::new(ray, hit, &material, hit.distance as f32);
-        let reflected = if footing.is_black() { Vec3::ZERO } else { self.reflected(ray, &footing) };
-        Fragment { alpha: material.coverage, radiance: LinearRgb(emission + reflected) }
+        lit_fragment(&self.scene.meshes, ray, hit, self.ray_angle, |footing, _| self.reflected(ray, footing))
     }
-}
-
-/// Whether a surface is the boundary of a volume that light enters: its back is seen from inside.
-fn bounds_volume(material: &Material) -> bool {
-    material.volume.thickness.factor > 0.0 && material.transmission.factor > 0.0
 }

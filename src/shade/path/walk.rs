@@ -9,80 +9,16 @@
 use glam::{DVec3, Vec3};
 
 use crate::scene::LinearRgb;
-use crate::shade::bsdf::{Bsdf, Parameters};
+use crate::shade::bsdf::Bsdf;
+use crate::shade::footing::{Footing, LIFT};
 use crate::shade::lights::Lights;
-use crate::shade::material::{MaterialPoint, SurfacePoint};
+use crate::shade::material::SurfacePoint;
 use crate::shade::sampling::Sampler;
 use crate::trace::ray::RayScratch;
 use crate::trace::{Fragment, Ray, RayTracer, SurfaceHit};
 
 /// Bounces that no path ends before by chance.
 const SURE_BOUNCES: u32 = 3;
-
-/// A ray that leaves a surface starts this share of the numbers at hand away from it: f64 places a hit a thousand times
-/// better, and nothing that a file can hold in f32 is finer.
-const LIFT: f64 = 1e-10;
-
-/// A point of a surface that a path stands on.
-pub(super) struct Footing {
-    position: DVec3,
-    geometric_normal: DVec3,
-    /// Tangent, bitangent, normal.
-    axes: [Vec3; 3],
-    /// Toward where the path came from, in those axes.
-    view: Vec3,
-    parameters: Parameters,
-    front: bool,
-    /// Metres of the path so far.
-    length: f32,
-}
-
-impl Footing {
-    pub fn new(ray: &Ray, hit: &SurfaceHit, material: &MaterialPoint, length: f32) -> Self {
-        let axes = [material.tangent, material.bitangent, material.normal];
-        let toward = -ray.direction.as_vec3();
-        Self {
-            position: ray.origin + ray.direction * hit.distance,
-            geometric_normal: material.geometric_normal.as_dvec3(),
-            axes,
-            view: Vec3::from_array(axes.map(|axis| axis.dot(toward))),
-            parameters: material.parameters,
-            front: material.front,
-            length,
-        }
-    }
-
-    pub fn is_black(&self) -> bool {
-        self.bsdf(&self.parameters).is_black()
-    }
-
-    fn bsdf(&self, parameters: &Parameters) -> Bsdf {
-        Bsdf::new(parameters, self.view, !self.front)
-    }
-
-    fn local(&self, direction: DVec3) -> Vec3 {
-        let direction = direction.as_vec3();
-        Vec3::from_array(self.axes.map(|axis| axis.dot(direction)))
-    }
-
-    fn world(&self, local: Vec3) -> DVec3 {
-        let [tangent, bitangent, normal] = self.axes.map(|axis| axis.as_dvec3());
-        let local = local.as_dvec3();
-        (tangent * local.x + bitangent * local.y + normal * local.z).normalize()
-    }
-
-    /// Whether the surface itself and its shading normal agree on which side `direction` points to.
-    fn is_consistent(&self, direction: DVec3, local: Vec3) -> bool {
-        (direction.dot(self.geometric_normal) > 0.0) == (local.z > 0.0)
-    }
-
-    /// A ray from here.
-    fn leave(&self, direction: DVec3) -> Ray {
-        let side = self.geometric_normal * direction.dot(self.geometric_normal).signum();
-        let lift = LIFT * (self.position.abs().max_element() + f64::from(self.length));
-        Ray { origin: self.position + side * lift, direction }
-    }
-}
 
 /// What all paths of a bake share.
 pub(super) struct Walk<'a> {
