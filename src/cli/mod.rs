@@ -2,6 +2,7 @@
 
 mod bake;
 mod compare;
+mod export;
 mod inspect;
 mod place;
 mod progress;
@@ -30,6 +31,7 @@ enum Command {
     Inspect(inspect::Inspect),
     Verify(verify::Verify),
     Compare(compare::Compare),
+    Export(export::Export),
     Schema(schema::Schema),
 }
 
@@ -42,6 +44,7 @@ impl Cli {
             Command::Inspect(command) => command.run(),
             Command::Verify(command) => command.run(),
             Command::Compare(command) => command.run(),
+            Command::Export(command) => command.run(),
             Command::Schema(command) => command.run(),
         }
     }

@@ -1,0 +1,57 @@
+//! Bakes as engines take them: files in an engine's layout and axes, and what loads them there.
+//!
+//! An exporter works from a bake's folder alone, its manifest and images; the scene is never loaded. What it ships to users
+//! besides data (editor scripts, shaders, import settings) stands as template files beside its code.
+
+mod axes;
+mod bake;
+mod output;
+mod unity;
+
+use std::path::{Path, PathBuf};
+
+use crate::{Error, Result};
+
+use bake::Bake;
+use output::Output;
+
+/// A consumer of bakes.
+pub struct Engine {
+    /// What `--engine` takes.
+    pub name: &'static str,
+    /// What is written for it, in a line.
+    pub about: &'static str,
+    write: fn(&Bake, &mut Output) -> Result<()>,
+}
+
+/// Every engine that is known, by name.
+pub const ENGINES: &[Engine] = &[Engine {
+    name: "unity",
+    about: "EXR strips with import settings, and an editor script that makes reflection probes (URP, built-in, HDRP)",
+    write: unity::write,
+}];
+
+/// What an export wrote.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Export {
+    /// The files, in the order of writing.
+    pub files: Vec<PathBuf>,
+    /// What the user should know: images that had to be made smaller, what the engine cannot express.
+    pub notes: Vec<String>,
+}
+
+/// Writes the bake at `bake`, its folder or its manifest, into the folder `out` for the engine of that name.
+///
+/// Fails with [`Error::Request`] for an unknown engine, with the errors of [`crate::manifest::verify`] where the bake is
+/// not what its manifest says, with [`Error::Unsupported`] where it has not the images that the engine needs, and with
+/// [`Error::Write`]. Nothing is written before the whole bake is checked.
+pub fn export(bake: &Path, engine: &str, out: &Path) -> Result<Export> {
+    let Some(engine) = ENGINES.iter().find(|known| known.name == engine) else {
+        let known: Vec<&str> = ENGINES.iter().map(|engine| engine.name).collect();
+        return Err(Error::request("engine", format!("'{engine}' is not known; known are {}", known.join(", "))));
+    };
+    let bake = Bake::open(bake)?;
+    let mut output = Output::create(out)?;
+    (engine.write)(&bake, &mut output)?;
+    Ok(output.finish())
+}
