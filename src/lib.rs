@@ -21,6 +21,7 @@
 //! manifest   what was baked, for engines
 //! compare    how much two images differ
 //! export     bakes as engines take them
+//! preview    a bake as one HTML file, for people
 //! pipeline   the whole bake as a handful of calls
 //! ```
 //!
@@ -58,6 +59,8 @@ pub mod manifest;
 pub mod compare;
 
 pub mod export;
+
+pub mod preview;
 
 pub mod pipeline;
 

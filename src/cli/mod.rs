@@ -5,6 +5,7 @@ mod compare;
 mod export;
 mod inspect;
 mod place;
+mod preview;
 mod progress;
 mod schema;
 mod verify;
@@ -32,6 +33,7 @@ enum Command {
     Verify(verify::Verify),
     Compare(compare::Compare),
     Export(export::Export),
+    Preview(preview::Preview),
     Schema(schema::Schema),
 }
 
@@ -45,6 +47,7 @@ impl Cli {
             Command::Verify(command) => command.run(),
             Command::Compare(command) => command.run(),
             Command::Export(command) => command.run(),
+            Command::Preview(command) => command.run(),
             Command::Schema(command) => command.run(),
         }
     }

@@ -7,13 +7,16 @@ mod axes;
 mod bake;
 mod output;
 mod unity;
+mod web;
 
 use std::path::{Path, PathBuf};
 
 use crate::{Error, Result};
 
-use bake::Bake;
 use output::Output;
+
+pub use bake::Bake;
+pub use web::{PROBES_GLSL, PROBES_JS};
 
 /// A consumer of bakes.
 pub struct Engine {
