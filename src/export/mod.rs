@@ -28,11 +28,28 @@ pub struct Engine {
 }
 
 /// Every engine that is known, by name.
-pub const ENGINES: &[Engine] = &[Engine {
-    name: "unity",
-    about: "EXR strips with import settings, and an editor script that makes reflection probes (URP, built-in, HDRP)",
-    write: unity::write,
-}];
+pub const ENGINES: &[Engine] = &[
+    Engine {
+        name: "unity",
+        about: "EXR strips with import settings, and an editor script that makes reflection probes (URP, built-in, HDRP)",
+        write: unity::write,
+    },
+    Engine {
+        name: "three",
+        about: "KTX2 cube maps and an ES module that blends and corrects them in three.js's standard materials",
+        write: web::three,
+    },
+    Engine {
+        name: "babylon",
+        about: "KTX2 cube maps and an ES module that blends and corrects them in Babylon.js's PBR materials",
+        write: web::babylon,
+    },
+    Engine {
+        name: "playcanvas",
+        about: "KTX2 cube maps and an ES module that blends and corrects them in PlayCanvas's standard materials",
+        write: web::playcanvas,
+    },
+];
 
 /// What an export wrote.
 #[derive(Debug, Clone, PartialEq, Eq)]

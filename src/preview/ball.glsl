@@ -26,6 +26,6 @@ void main() {
     direction = worldFromCamera * (shape == 1 ? 2.0 * normal.z * normal - vec3(0.0, 0.0, 1.0) : normal);
   }
   vec3 corrected = probeDirection(position, normalize(direction), takenAt, proxyMin, proxyMax);
-  vec3 radiance = shape == 2 ? probeIrradiance(sh, direction) : textureLod(cube, corrected, lod).rgb;
+  vec3 radiance = shape == 2 ? probeIrradiance(sh, direction) : textureLod(cube, probeLookUp(corrected), lod).rgb;
   share = vec4(radiance, 1.0) * (weight * coverage);
 }

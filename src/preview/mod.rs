@@ -53,7 +53,7 @@ struct Data<'a> {
     mean: Vec<f64>,
     /// Per probe: the largest channel of any texel of the bake.
     brightest: Vec<f32>,
-    /// Per probe: all mips, the largest first, six slots each, RGB9E5 in little endian, base64.
+    /// Per probe: all mips, the largest first, six slots each as web engines look them up, RGB9E5 in little endian, base64.
     texels: Vec<String>,
 }
 
@@ -124,7 +124,7 @@ fn mip_sizes(face_size: u32) -> Vec<u32> {
 
 fn chain(cubemap: RgbCubemap, face_size: u32, count: u32) -> Vec<u8> {
     let chain = Prefilter::new(cubemap.reduced(face_size)).chain(RoughnessCurve::Linear, count);
-    let texels = chain.iter().flat_map(|mip| Slots::DIRECT.texels(&mip.cubemap));
+    let texels = chain.iter().flat_map(|mip| Slots::NEGATED_X.texels(&mip.cubemap));
     texels.flat_map(|texel| rgb9e5(texel).to_le_bytes()).collect()
 }
 

@@ -150,10 +150,12 @@ function drawPlan() {
   }
   level?.walls.forEach((edge) => line('wall', edge));
   level?.blocked.forEach((edge) => line('blocked', edge));
-  const { influence, proxy } = probes[state.chosen];
-  for (const [name, { min, max }] of [['influence', influence], ['proxy', proxy]]) {
+  const outline = (name, { min, max }) => {
     element(plan, 'rect', { class: name, x: min[0], y: min[2], width: max[0] - min[0], height: max[2] - min[2] });
-  }
+  };
+  if (!level) probes.forEach(({ influence }) => outline('box', influence));
+  outline('influence', probes[state.chosen].influence);
+  outline('proxy', probes[state.chosen].proxy);
   probes.forEach((probe, index) => {
     const at = { cx: probe.position[0], cy: probe.position[2], r: dot };
     const mark = element(plan, 'circle', { class: 'probe', fill: errorColour(probe.estimatedError), 'data-probe': index, ...at });

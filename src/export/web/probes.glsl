@@ -1,4 +1,9 @@
-// A probe's look-ups, in the manifest's frame; cube maps are looked up by the direction itself.
+// A probe's look-ups, in the manifest's frame.
+
+// Cube maps lie as three.js, PlayCanvas and Babylon.js look them up.
+vec3 probeLookUp(vec3 direction) {
+  return vec3(-direction.x, direction.yz);
+}
 
 // From where the probe was taken to where the ray leaves its proxy box (Lagarde & Zanuttini 2012); not normalised.
 vec3 probeDirection(vec3 position, vec3 direction, vec3 takenAt, vec3 proxyMin, vec3 proxyMax) {
