@@ -5,8 +5,14 @@
 
 mod axes;
 mod bake;
+mod blender;
+mod filament;
+mod gltf;
+mod godot;
 mod output;
 mod unity;
+mod unreal;
+mod usd;
 
 use std::path::{Path, PathBuf};
 
@@ -24,12 +30,40 @@ pub struct Engine {
     write: fn(&Bake, &mut Output) -> Result<()>,
 }
 
-/// Every engine that is known, by name.
-pub const ENGINES: &[Engine] = &[Engine {
-    name: "unity",
-    about: "EXR strips with import settings, and an editor script that makes reflection probes (URP, built-in, HDRP)",
-    write: unity::write,
-}];
+/// Every engine that is known.
+pub const ENGINES: &[Engine] = &[
+    Engine {
+        name: "unity",
+        about: "EXR strips with import settings, an editor script that makes reflection probes (URP, built-in, HDRP)",
+        write: unity::write,
+    },
+    Engine {
+        name: "unreal",
+        about: "Radiance panoramas, an editor script in Python that makes reflection captures",
+        write: unreal::write,
+    },
+    Engine {
+        name: "godot",
+        about: "EXR strips that import as cubemaps, a scene of reflection probes that capture them (Godot 4)",
+        write: godot::write,
+    },
+    Engine {
+        name: "filament",
+        about: "KTX1 cube maps and spherical harmonics as cmgen writes them, a list of the probes",
+        write: filament::write,
+    },
+    Engine {
+        name: "blender",
+        about: "EXR panoramas, a script in Python that sets up the world and light probes",
+        write: blender::write,
+    },
+    Engine { name: "gltf", about: "a glTF file with EXT_lights_image_based and a node per probe", write: gltf::write },
+    Engine {
+        name: "usd",
+        about: "EXR panoramas, a layer with a dome light per probe in variants and the probes as transforms",
+        write: usd::write,
+    },
+];
 
 /// What an export wrote.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -1,10 +1,12 @@
 //! Unity's view: Cubemap and ReflectionProbe as documented, URP's GlobalIllumination.hlsl, HDRP's EnvLight.
 
+use std::path::Path;
+
 use glam::{DVec3, Vec3};
 use serde_json::Value;
 
 use super::lookup::cube_texel;
-use super::{Baked, SIZE, assert_is_calibration, exr, json};
+use super::{Baked, Shown, exr, json};
 
 /// Left-handed, +Y up: glTF importers negate x.
 fn unity_from_manifest(v: DVec3) -> DVec3 {
@@ -15,20 +17,15 @@ fn vector(value: &Value) -> DVec3 {
     DVec3::new(value["x"].as_f64().unwrap(), value["y"].as_f64().unwrap(), value["z"].as_f64().unwrap())
 }
 
-#[test]
-fn every_direction_is_where_unity_looks_for_it() {
-    let baked = Baked::new();
-    let out = baked.export("unity");
-    for probe in ["probe_000", "probe_001"] {
-        let (width, pixels) = exr(&out.join(format!("{probe}.exr")));
-        let n = width / 6;
-        assert_eq!((n, pixels.len()), (SIZE as usize, 6 * n * n));
-        // Importer, "6 Frames Layout": +x -x +y -y +z -z side by side, rows from the top; texCUBE by the world direction.
-        assert_is_calibration("unity", |direction| {
-            let (slot, x, y) = cube_texel(unity_from_manifest(direction), n);
-            pixels[y * width + slot * n + x]
-        });
-    }
+/// Importer, "6 Frames Layout": +x -x +y -y +z -z side by side, rows from the top; texCUBE by the world direction.
+pub fn shown(out: &Path, probe: &str) -> Shown {
+    let (width, pixels) = exr(&out.join(format!("{probe}.exr")));
+    let n = width / 6;
+    assert_eq!(pixels.len(), 6 * n * n);
+    Box::new(move |direction| {
+        let (slot, x, y) = cube_texel(unity_from_manifest(direction), n);
+        pixels[y * width + slot * n + x]
+    })
 }
 
 /// URP, GlobalIllumination.hlsl, CalculateProbeWeight: the least distance to a face of the box over the blend distance.
