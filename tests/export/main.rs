@@ -4,6 +4,9 @@
 mod agreement;
 mod bad_input;
 mod blender;
+#[path = "../cli_support/mod.rs"]
+mod cli_support;
+mod command;
 mod filament;
 mod gltf;
 mod godot;
