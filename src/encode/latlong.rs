@@ -41,6 +41,14 @@ impl Latlong {
         Self { height, pixels }
     }
 
+    /// The same image with its columns moved to the right by `quarters` of the width, for those who look along another axis
+    /// in its middle. The width must be a multiple of 4.
+    pub fn turned(mut self, quarters: usize) -> Self {
+        let width = 2 * self.height as usize;
+        self.pixels.chunks_exact_mut(width).for_each(|row| row.rotate_right(width / 4 * quarters));
+        self
+    }
+
     /// Writes Radiance RGBE: eight bits per channel and a shared exponent, rounded to the nearest, nothing below 0.
     /// Fails with [`crate::Error::Write`].
     pub fn write_hdr(&self, path: &Path) -> Result<()> {

@@ -90,6 +90,25 @@ pub fn influence(probe: &ProbeRecord) -> Bounds {
     Bounds { min: probe.influence.min.into(), max: probe.influence.max.into() }
 }
 
+/// The box with one blend distance for all faces, the greatest, in which the probe has its full weight exactly where it has
+/// it in its influence box: faces that blend over less lie further out. For engines that know one distance only.
+pub fn uniformly_blended(probe: &ProbeRecord) -> (Bounds, f64) {
+    let blend = probe.influence.blend;
+    let distance = blend.iter().copied().fold(0.0, f64::max);
+    let outward = |side: usize| DVec3::from([0, 2, 4].map(|axis| distance - blend[axis + side]));
+    let influence = influence(probe);
+    (Bounds { min: influence.min - outward(1), max: influence.max + outward(0) }, distance)
+}
+
+/// Whether the proxy is nearly the influence box, so that engines which have one box for both can project reflections on it.
+pub fn is_proxy_the_influence(probe: &ProbeRecord) -> bool {
+    /// Distance between faces as a share of the proxy's edge: it moves the image on a wall by no more.
+    const MOST: f64 = 0.1;
+    let (influence, proxy) = (influence(probe), probe.proxy);
+    let distance = (influence.min - proxy.min).abs().max((influence.max - proxy.max).abs());
+    distance.cmple(proxy.extent() * MOST).all()
+}
+
 /// The field that is wrong and what is wrong with it.
 fn check(probe: &ProbeRecord) -> std::result::Result<(), (&'static str, String)> {
     let is_name = |id: &str| {

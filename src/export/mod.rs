@@ -5,8 +5,15 @@
 
 mod axes;
 mod bake;
+mod bevy;
+mod blender;
+mod filament;
+mod gltf;
+mod godot;
 mod output;
 mod unity;
+mod unreal;
+mod usd;
 mod web;
 
 use std::path::{Path, PathBuf};
@@ -27,27 +34,58 @@ pub struct Engine {
     write: fn(&Bake, &mut Output) -> Result<()>,
 }
 
-/// Every engine that is known, by name.
+/// Every engine that is known.
 pub const ENGINES: &[Engine] = &[
     Engine {
         name: "unity",
-        about: "EXR strips with import settings, and an editor script that makes reflection probes (URP, built-in, HDRP)",
+        about: "EXR strips with import settings, an editor script that makes reflection probes (URP, built-in, HDRP)",
         write: unity::write,
     },
     Engine {
+        name: "unreal",
+        about: "Radiance panoramas, an editor script in Python that makes reflection captures",
+        write: unreal::write,
+    },
+    Engine {
+        name: "godot",
+        about: "EXR strips that import as cubemaps, a scene of reflection probes that capture them (Godot 4)",
+        write: godot::write,
+    },
+    Engine {
+        name: "filament",
+        about: "KTX1 cube maps and spherical harmonics as cmgen writes them, a list of the probes",
+        write: filament::write,
+    },
+    Engine {
+        name: "blender",
+        about: "EXR panoramas, a script in Python that sets up the world and light probes",
+        write: blender::write,
+    },
+    Engine { name: "gltf", about: "a glTF file with EXT_lights_image_based and a node per probe", write: gltf::write },
+    Engine {
+        name: "usd",
+        about: "EXR panoramas, a layer with a dome light per probe in variants and the probes as transforms",
+        write: usd::write,
+    },
+    Engine {
         name: "three",
-        about: "KTX2 cube maps and an ES module that blends and corrects them in three.js's standard materials",
+        about: "KTX2 cube maps, an ES module that blends and corrects them in three.js's standard materials",
         write: web::three,
     },
     Engine {
         name: "babylon",
-        about: "KTX2 cube maps and an ES module that blends and corrects them in Babylon.js's PBR materials",
+        about: "KTX2 cube maps, an ES module that blends and corrects them in Babylon.js's PBR materials",
         write: web::babylon,
     },
     Engine {
         name: "playcanvas",
-        about: "KTX2 cube maps and an ES module that blends and corrects them in PlayCanvas's standard materials",
+        about: "KTX2 cube maps, an ES module that blends and corrects them in PlayCanvas's standard materials",
         write: web::playcanvas,
+    },
+    Engine {
+        name: "bevy",
+        about: "KTX2 cube maps, the source of a plugin that spawns light probes",
+        write: bevy::write,
     },
 ];
 

@@ -9,22 +9,17 @@ use glam::DVec3;
 use serde_json::{Value, json};
 
 use super::axes::Axes;
-use super::bake::{Bake, influence};
+use super::bake::{Bake, influence, is_proxy_the_influence, uniformly_blended};
 use super::output::Output;
 use crate::Result;
 use crate::encode::slots::Slots;
 use crate::filter::RgbCubemap;
 use crate::manifest::{Manifest, ProbeRecord};
-use crate::scene::Bounds;
 
 const AXES: Axes = Axes { from: [(0, -1.0), (1, 1.0), (2, 1.0)], units_per_metre: 1.0 };
 
 /// Six of these side by side are the widest texture that Unity imports, 16384 pixels.
 const MAX_FACE_SIZE: u32 = 2048;
-
-/// How far a face of the proxy may lie from the influence box, as a share of the proxy's edge, for both to be taken as the
-/// same box: a tenth moves the image on a wall by what influence boxes overlap by default.
-const SAME_BOX: f64 = 0.1;
 
 const SCRIPT: &str = include_str!("SplatprobeImporter.cs");
 const ASSEMBLY: &str = include_str!("Splatprobe.Editor.asmdef");
@@ -85,7 +80,8 @@ fn guid(manifest: &Manifest, probe: &ProbeRecord) -> String {
 fn record(probe: &ProbeRecord, cubemap: &str) -> Value {
     let [influence, proxy] = [influence(probe), probe.proxy].map(|bounds| AXES.bounds(&bounds));
     let blend = AXES.by_face(probe.influence.blend);
-    let (uniform, distance) = uniformly_blended(&influence, &blend);
+    let (uniform, distance) = uniformly_blended(probe);
+    let uniform = AXES.bounds(&uniform);
     let position = AXES.point(probe.position.into());
     let side = |low: usize| xyz(DVec3::new(blend[low], blend[low + 2], blend[low + 4]));
     json!({
@@ -95,7 +91,7 @@ fn record(probe: &ProbeRecord, cubemap: &str) -> Value {
         "importance": probe.priority,
         "box": {
             "centre": xyz(uniform.centre()), "size": xyz(uniform.extent()),
-            "blendDistance": distance, "isProjected": is_same_box(&influence, &proxy),
+            "blendDistance": distance, "isProjected": is_proxy_the_influence(probe),
         },
         "influence": {
             "centre": xyz(influence.centre()), "size": xyz(influence.extent()),
@@ -105,35 +101,7 @@ fn record(probe: &ProbeRecord, cubemap: &str) -> Value {
     })
 }
 
-/// The box with one blend distance for all faces, the greatest, in which the probe has its full weight exactly where it has
-/// it in `influence`: faces that blend over less lie further out. URP and the built-in pipeline know one distance only.
-fn uniformly_blended(influence: &Bounds, blend: &[f64; 6]) -> (Bounds, f64) {
-    let distance = blend.iter().copied().fold(0.0, f64::max);
-    let outward = |side: usize| DVec3::from([0, 2, 4].map(|axis| distance - blend[axis + side]));
-    (Bounds { min: influence.min - outward(1), max: influence.max + outward(0) }, distance)
-}
-
-/// Whether reflections can be projected on the influence box, the only one that URP and the built-in pipeline know.
-fn is_same_box(influence: &Bounds, proxy: &Bounds) -> bool {
-    let distance = (influence.min - proxy.min).abs().max((influence.max - proxy.max).abs());
-    distance.cmple(proxy.extent() * SAME_BOX).all()
-}
-
 /// A vector as Unity's JsonUtility reads it.
 fn xyz(vector: DVec3) -> Value {
     json!({ "x": vector.x, "y": vector.y, "z": vector.z })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn one_blend_distance_keeps_the_region_of_full_weight() {
-        let influence = Bounds { min: DVec3::ZERO, max: DVec3::new(4.0, 3.0, 5.0) };
-        let (uniform, distance) = uniformly_blended(&influence, &[0.5, 0.0, 0.0, 0.25, 1.0, 0.0]);
-        assert_eq!(distance, 1.0);
-        assert_eq!(uniform.min + distance, DVec3::new(0.0, 0.25, 0.0));
-        assert_eq!(uniform.max - distance, DVec3::new(3.5, 3.0, 4.0));
-    }
 }

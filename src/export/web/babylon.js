@@ -101,6 +101,8 @@ class ProbePlugin extends MaterialPluginBase {
   constructor(material) {
     super(material, 'SplatprobeProbes', 200, { USE_CUSTOM_REFLECTION: false });
     this.choice = null;
+    // Without this, hardBindForSubMesh is not called.
+    this.registerForExtraEvents = true;
     this._enable(true);
   }
 

@@ -1,7 +1,13 @@
-// The probes of a material. Positions and directions are in the manifest's frame.
-uniform samplerCube probeCube0, probeCube1, probeCube2, probeCube3;
+// The probes of a material. Positions and directions are in the manifest's frame. A uniform a line: PlayCanvas reads them so.
+uniform samplerCube probeCube0;
+uniform samplerCube probeCube1;
+uniform samplerCube probeCube2;
+uniform samplerCube probeCube3;
 uniform float probeWeights[4];
-uniform vec3 probeTakenAt[4], probeProxyMin[4], probeProxyMax[4], probeSh[9];
+uniform vec3 probeTakenAt[4];
+uniform vec3 probeProxyMin[4];
+uniform vec3 probeProxyMax[4];
+uniform vec3 probeSh[9];
 uniform float probeRoughestMip;
 
 vec3 probeSample(samplerCube cube, int i, vec3 position, vec3 direction, float lod) {

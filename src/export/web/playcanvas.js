@@ -63,6 +63,7 @@ export class ReflectionProbes {
       const material = instance.material.clone();
       // Without a cube map the shader has no place for one.
       material.cubeMap = this.textures[0];
+      material.shaderChunksVersion = '2.23';
       const chunks = material.getShaderChunks(SHADERLANGUAGE_GLSL);
       chunks.set('reflectionCubePS', REFLECTION);
       chunks.set('ambientPS', AMBIENT);

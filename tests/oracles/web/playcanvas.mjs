@@ -23,6 +23,9 @@ export async function render(canvas, { position: [x, y, z], radius, distance }) 
   });
   camera.setPosition(x, y, z + distance);
   app.root.addChild(camera);
+  // One frame: in software, more would keep the page from answering.
+  app.autoRender = false;
+  app.renderNextFrame = true;
   app.start();
   await new Promise((resolve) => app.once('frameend', resolve));
 }

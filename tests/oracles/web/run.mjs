@@ -32,7 +32,7 @@ for (const { files } of manifest.probes) {
 
 const IMPORTS = {
   three: '/tools/three/build/three.module.js',
-  '@babylonjs/core': '/tools/@babylonjs/core/index.js',
+  '@babylonjs/core': '/tools/babylon-core.mjs',
   playcanvas: '/tools/playcanvas/build/playcanvas.mjs',
 };
 const page = (engine) => `<!DOCTYPE html><style>body { margin: 0 }</style><canvas width="${SIZE}" height="${SIZE}" style="width:${SIZE}px;height:${SIZE}px"></canvas>
