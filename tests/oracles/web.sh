@@ -14,7 +14,11 @@ pictures=${3:-$tools/pictures}
 
 mkdir -p "$tools" "$pictures"
 [ -d "$tools/node_modules/playcanvas" ] || npm install --silent --prefix "$tools" \
-    playwright-core pngjs ktx-parse zstddec three@0.187.0 @babylonjs/core@9.34.0 playcanvas@2.23.3
+    playwright-core pngjs ktx-parse zstddec esbuild three@0.187.0 @babylonjs/core@9.34.0 playcanvas@2.23.3
+# Babylon.js's thousands of modules as one file.
+modules=$tools/node_modules
+[ -f "$modules/babylon-core.mjs" ] || "$modules/.bin/esbuild" "$modules/@babylonjs/core/index.js" --bundle --format=esm \
+    --log-level=error --outfile="$modules/babylon-core.mjs"
 
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT

@@ -91,7 +91,7 @@ fn triangles_and_levels_weigh_as_in_the_crate() {
 #[test]
 fn boxes_weigh_and_correct_as_in_the_crate() {
     let bounds = Bounds { min: DVec3::ZERO, max: DVec3::new(6.0, 6.0, 4.0) };
-    let probes: Vec<Probe> = grid(&bounds, [3, 2, 2], 0.4).unwrap();
+    let probes: Vec<Probe> = grid(bounds, [3, 2, 2], 0.4).unwrap();
     let records: Vec<Value> = probes
         .iter()
         .map(|probe| {

@@ -86,23 +86,28 @@ export class ReflectionProbes {
       instance.setParameter('probeProxyMin[0]', vectors((record) => record.proxy.min));
       instance.setParameter('probeProxyMax[0]', vectors((record) => record.proxy.max));
       instance.setParameter('probeSh[0]', new Float32Array(sh));
-      instance.setParameter('probeRoughestMip', this.textures[probes[0]].numLevels - 1);
+      instance.setParameter('probeRoughestMip', this.textures[probes[0]].roughestMip);
     }
   }
 }
 
-/** The cube map with all its mips. */
+/** The cube map with all its mips. The engine wants them down to a texel; below the roughest nothing is looked up. */
 function texture(device, { size, mips }) {
-  return new Texture(device, {
+  const levels = [...mips];
+  for (let edge = size >> mips.length; edge > 0; edge >>= 1) {
+    levels.push(Array.from({ length: 6 }, () => new Uint16Array(4 * edge * edge)));
+  }
+  const cube = new Texture(device, {
     cubemap: true,
     width: size,
     height: size,
     format: PIXELFORMAT_RGBA16F,
-    numLevels: mips.length,
-    levels: mips,
+    levels,
     minFilter: FILTER_LINEAR_MIPMAP_LINEAR,
     magFilter: FILTER_LINEAR,
     addressU: ADDRESS_CLAMP_TO_EDGE,
     addressV: ADDRESS_CLAMP_TO_EDGE,
   });
+  cube.roughestMip = mips.length - 1;
+  return cube;
 }

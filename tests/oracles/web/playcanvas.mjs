@@ -23,9 +23,11 @@ export async function render(canvas, { position: [x, y, z], radius, distance }) 
   });
   camera.setPosition(x, y, z + distance);
   app.root.addChild(camera);
-  // One frame: in software, more would keep the page from answering.
+  // Two frames, of which the first is empty; in software, more would keep the page from answering.
   app.autoRender = false;
-  app.renderNextFrame = true;
   app.start();
-  await new Promise((resolve) => app.once('frameend', resolve));
+  for (let frame = 0; frame < 2; frame++) {
+    app.renderNextFrame = true;
+    await new Promise((resolve) => app.once('frameend', resolve));
+  }
 }

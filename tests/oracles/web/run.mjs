@@ -52,8 +52,11 @@ await new Promise((resolve) => server.listen(0, '127.0.0.1', resolve));
 const address = `http://127.0.0.1:${server.address().port}/`;
 
 const executablePath = process.env.CHROMIUM ?? '/usr/bin/chromium';
-const args = ['--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--ignore-gpu-blocklist'];
-const browser = await chromium.launch({ executablePath, args });
+const args = [
+  '--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--ignore-gpu-blocklist',
+  // Software takes its time.
+  '--disable-gpu-watchdog',
+];
 
 function save(name, size, pixels) {
   const png = new PNG({ width: size, height: size });
@@ -88,8 +91,11 @@ function judge(name, size, found, expected) {
   console.log(`${name}: ${error.toFixed(3)} / 255`);
 }
 
-async function tab(options = {}) {
+/** A page in a browser of its own. */
+async function open(options = {}) {
+  const browser = await chromium.launch({ executablePath, args });
   const tab = await (await browser.newContext({ viewport: { width: 1400, height: 1000 }, ...options })).newPage();
+  tab.setDefaultTimeout(120_000);
   tab.on('pageerror', (error) => assert.fail(error));
   tab.on('console', (message) => {
     if (['error', 'warning'].includes(message.type())) console.log(`  ${message.text()}`);
@@ -102,31 +108,31 @@ const [a, b] = manifest.probes.map((probe) => probe.position);
 const places = { at: a, between: a.map((value, axis) => value + 0.4 * ((b ?? a)[axis] - value)) };
 for (engine of (process.env.ENGINES ?? 'three babylon playcanvas').split(' ')) {
   for (const [place, position] of Object.entries(places)) {
-    const page = await tab();
-    await page.goto(address);
-    await page.waitForFunction(() => window.render);
+    const tab = await open();
+    await tab.goto(address);
+    await tab.waitForFunction(() => window.render);
     const settings = { position, radius: RADIUS, distance: DISTANCE };
-    await page.evaluate((settings) => window.render(document.querySelector('canvas'), settings), settings);
-    const found = await pixelsOf(page, 'canvas', 0, 0, SIZE);
+    await tab.evaluate((settings) => window.render(document.querySelector('canvas'), settings), settings);
+    const found = await pixelsOf(tab, 'canvas', 0, 0, SIZE);
     const encoding = engine === 'playcanvas' ? 'power' : 'srgb';
     const expected = mirrorBall({ manifest, lookUps, shares: weights(manifest, position), position, radius: RADIUS, size: SIZE, encoding });
     judge(`${engine}-${place}`, SIZE, found, expected);
-    await page.close();
+    await tab.context().browser().close();
   }
 }
 
 // The preview: opened from disk, offline; its first card's mirror ball is 160 pixels wide below the unfolded cube.
 const requests = [];
-const page_ = await tab({ offline: true });
-page_.on('request', (request) => requests.push(request.url()));
-await page_.goto(pathToFileURL(preview).href);
-await page_.waitForTimeout(2000);
+const tab = await open({ offline: true });
+tab.on('request', (request) => requests.push(request.url()));
+await tab.goto(pathToFileURL(preview).href);
+await tab.waitForTimeout(2000);
 assert.deepEqual(requests, [pathToFileURL(preview).href], 'the page asks for something');
-await page_.screenshot({ path: path.join(pictures, 'preview.png'), fullPage: true });
-const found = await pixelsOf(page_, '.card canvas', 0, 372, 160);
+await tab.screenshot({ path: path.join(pictures, 'preview.png'), fullPage: true });
+const found = await pixelsOf(tab, '.card canvas', 0, 372, 160);
 const expected = mirrorBall({ manifest, lookUps, shares: [{ probe: 0, weight: 1 }], position: a, radius: 0, size: 160, fill: 0.96 });
 judge('preview', 160, found, expected);
 
-await browser.close();
+await tab.context().browser().close();
 server.close();
 assert.ok(worst <= LIMIT, `${worst} / 255 is more than ${LIMIT}`);
