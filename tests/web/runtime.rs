@@ -138,7 +138,7 @@ fn diffuse_light_is_the_irradiance_of_the_harmonics() {
             + s[6] * (3.0 * n.z * n.z - 1.0)
             + s[7] * (n.x * n.z)
             + s[8] * (n.x * n.x - n.y * n.y);
-        let expected = sh.irradiance(n) / std::f64::consts::PI;
+        let expected = sh.irradiance(n);
         assert!((found - expected).abs().max_element() < 1e-5, "{n}: {found} is not {expected}");
     }
 }
