@@ -1,8 +1,8 @@
 //! glTF 2.0: a scene per probe that is lit by EXT_lights_image_based, with a node for every probe.
 //!
-//! Babylon.js, whose authors wrote the extension, looks cube maps up in its left-handed world, where it has negated x of
-//! glTF's; the extension's own words on the orientation leave that open. So faces are those of a look-up by (-x, y, z), and
-//! irradiance is mirrored likewise: the loader turns neither.
+//! Faces lie as Babylon.js takes them, whose authors wrote the extension: it looks cube maps up in its left-handed world,
+//! where x of glTF's is negated, and takes images upside down, which is what the extension's "flipped" comes to. Irradiance
+//! is mirrored likewise: the loader turns neither. `tests/oracles/export.sh` shows that it is so.
 
 use std::f64::consts::PI;
 
@@ -44,7 +44,8 @@ pub fn write(bake: &Bake, output: &mut Output) -> Result<()> {
             let mut indices = Vec::with_capacity(6);
             for (face, name) in faces {
                 let uri = format!("{}/specular_{level}_{name}.png", probe.id);
-                write_png(&output.path(&uri)?, &rgbd::encode(mip.cubemap.size(), face))?;
+                let image = image::imageops::flip_vertical(&rgbd::encode(mip.cubemap.size(), face));
+                write_png(&output.path(&uri)?, &image)?;
                 indices.push(images.len());
                 images.push(json!({ "uri": uri, "mimeType": "image/png" }));
             }

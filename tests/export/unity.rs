@@ -52,8 +52,9 @@ fn influence_boxes_weigh_in_unity_as_the_manifest_says() {
         let centre = vector(&uniform["centre"]);
         let (half_hd, centre_hd) = (vector(&influence["size"]) / 2.0, vector(&influence["centre"]));
         let (min, max) = (DVec3::from(record.influence.min), DVec3::from(record.influence.max));
-        for i in 1..4000 {
-            let share = DVec3::new(0.7548, 0.5698, 0.4302) * f64::from(i);
+        for i in 0..4000 {
+            // Never on a face.
+            let share = DVec3::new(0.7548, 0.5698, 0.4302) * (f64::from(i) + 0.5);
             let at = min + (max - min) * share.fract();
             // The manifest: a ramp over each face's blend distance, inward; the least of them where engines take no product.
             let ramp = |distance: f64, blend: f64| if distance < blend { distance / blend } else { 1.0 };
