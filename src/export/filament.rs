@@ -24,8 +24,8 @@ const MIN_LOD_SIZE: u32 = 16;
 /// exposure 1 / (1.2 * 16^2 * 125).
 const INTENSITY: f64 = 38_400.0;
 
-/// From raw coefficients to those that the shader's polynomial takes, irradiance over pi: bases and the cosine's bands,
-/// A_l K_lm^2 / (pi K_lm) with the factors of Y_lm (CubemapSH.cpp, "pre-scaled").
+/// From raw coefficients of radiance to those of the shader's polynomial for irradiance over pi: the clamped cosine's bands
+/// over pi, 1, 2/3 and 1/4, times the constants of the bases (CubemapSH.cpp, "pre-scaled").
 const PRE_SCALED: [f64; 9] = [0.282095, 0.325735, 0.325735, 0.325735, 0.273137, 0.273137, 0.078848, 0.273137, 0.136569];
 
 const NAMES: [&str; 9] = ["L00", "L1-1", "L10", "L11", "L2-2", "L2-1", "L20", "L21", "L22"];

@@ -1,8 +1,8 @@
 //! glTF 2.0: a scene per probe that is lit by EXT_lights_image_based, with a node for every probe.
 //!
-//! Babylon.js, whose authors wrote the extension, looks cube maps up in its left-handed world, where it has negated x of
-//! glTF's; the extension's own words on the orientation leave that open. So faces are those of a look-up by (-x, y, z), and
-//! irradiance is mirrored likewise: the loader turns neither.
+//! Faces lie as Babylon.js takes them, whose authors wrote the extension: it looks cube maps up in its left-handed world,
+//! where x of glTF's is negated, and takes images upside down, which is what the extension's "flipped" comes to. Irradiance
+//! is mirrored likewise: the loader turns neither. `tests/oracles/export.sh` shows that it is so.
 
 use std::f64::consts::PI;
 
@@ -20,7 +20,7 @@ use crate::manifest::ShRecord;
 
 const EXTENSION: &str = "EXT_lights_image_based";
 
-/// Largest faces: images of this size six times per probe are 25 MB of PNG each.
+/// Largest faces: the six of the next size, 4096, are 400 MB once they are loaded as 8 bits.
 const MAX_FACE_SIZE: u32 = 2048;
 
 /// Faces of the roughest mip, as the extension advises.
@@ -44,7 +44,8 @@ pub fn write(bake: &Bake, output: &mut Output) -> Result<()> {
             let mut indices = Vec::with_capacity(6);
             for (face, name) in faces {
                 let uri = format!("{}/specular_{level}_{name}.png", probe.id);
-                write_png(&output.path(&uri)?, &rgbd::encode(mip.cubemap.size(), face))?;
+                let image = image::imageops::flip_vertical(&rgbd::encode(mip.cubemap.size(), face));
+                write_png(&output.path(&uri)?, &image)?;
                 indices.push(images.len());
                 images.push(json!({ "uri": uri, "mimeType": "image/png" }));
             }

@@ -59,7 +59,7 @@ impl Output {
         if fitting == size {
             return cubemap;
         }
-        self.note(format!("{id}: faces of {size} pixels reduced to {fitting}, the power of two that the engine takes"));
+        self.note(format!("{id}: faces of {size} pixels reduced to {fitting}, a power of two that the engine takes"));
         cubemap.reduced(fitting)
     }
 

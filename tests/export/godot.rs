@@ -20,6 +20,11 @@ pub fn shown(out: &Path, probe: &str) -> Shown {
     })
 }
 
+/// The number in `name = 1.0` of a node's text.
+fn number(node: &str, name: &str) -> f64 {
+    node.lines().find_map(|line| line.strip_prefix(&format!("{name} = "))).unwrap().parse().unwrap()
+}
+
 /// The numbers in `name = Something(...)` of a node's text.
 fn numbers(node: &str, name: &str) -> Vec<f64> {
     let line = node.lines().find_map(|line| line.strip_prefix(&format!("{name} = "))).unwrap();
@@ -50,6 +55,10 @@ fn probes_capture_their_cubemaps_where_the_manifest_took_them() {
         assert!(painted.contains(&format!("material_override = SubResource(\"{id}\")")), "{painted}");
         let half = DVec3::from_slice(&numbers(probe, "size")) / 2.0;
         let (min, max) = (DVec3::from(record.influence.min), DVec3::from(record.influence.max));
-        assert!((centre - half - min).length() < 1e-9 && (centre + half - max).length() < 1e-9, "{probe}");
+        // One blend distance for all faces: the weight is full where it is in the manifest.
+        let [px, nx, py, ny, pz, nz] = record.influence.blend;
+        let full = half - number(probe, "blend_distance");
+        assert!((centre - full - min - DVec3::new(nx, ny, nz)).length() < 1e-9, "{probe}");
+        assert!((centre + full - max + DVec3::new(px, py, pz)).length() < 1e-9, "{probe}");
     }
 }

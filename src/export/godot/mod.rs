@@ -6,7 +6,7 @@
 
 use std::fmt::Write;
 
-use super::bake::{Bake, influence, is_proxy_the_influence, uniformly_blended};
+use super::bake::{Bake, is_proxy_the_influence, uniformly_blended};
 use super::output::Output;
 use crate::Result;
 use crate::encode::slots::Slots;
@@ -50,10 +50,7 @@ pub fn write(bake: &Bake, output: &mut Output) -> Result<()> {
 }
 
 fn node(probe: &ProbeRecord) -> String {
-    // Where the box is also what reflections are projected on, it must be the true one; else the one whose fade is right.
-    let is_projected = is_proxy_the_influence(probe);
-    let (uniform, blend) = uniformly_blended(probe);
-    let bounds = if is_projected { influence(probe) } else { uniform };
+    let (bounds, blend) = uniformly_blended(probe);
     let (centre, size) = (bounds.centre(), bounds.extent());
     let offset = glam::DVec3::from(probe.position) - centre;
     let numbers = |v: glam::DVec3| format!("{}, {}, {}", v.x, v.y, v.z);
@@ -62,6 +59,6 @@ fn node(probe: &ProbeRecord) -> String {
         .replace("{centre}", &numbers(centre))
         .replace("{size}", &numbers(size))
         .replace("{offset}", &numbers(offset))
-        .replace("{is_projected}", if is_projected { "true" } else { "false" })
+        .replace("{is_projected}", if is_proxy_the_influence(probe) { "true" } else { "false" })
         .replace("{blend}", &blend.to_string())
 }

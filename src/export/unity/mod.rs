@@ -62,13 +62,13 @@ fn side_by_side(cubemap: &RgbCubemap) -> Vec<glam::Vec3> {
     (0..n).flat_map(row).map(|texel| slots[texel]).collect()
 }
 
-/// A name for the asset that stays the same when the scene is baked anew, so that scenes keep their references, and that
-/// differs between bakes of other inputs or of probes that stand elsewhere.
+/// A name for the asset that stays the same when the scene is changed and baked anew, so that scenes keep their references,
+/// and that differs between bakes of files of other names or of probes that stand elsewhere.
 fn guid(manifest: &Manifest, probe: &ProbeRecord) -> String {
     let mut hasher = blake3::Hasher::new();
     hasher.update(b"splatprobe unity ");
     for input in &manifest.inputs {
-        hasher.update(input.blake3.as_bytes());
+        hasher.update(input.path.as_bytes());
     }
     hasher.update(probe.id.as_bytes());
     for value in probe.position {

@@ -2,7 +2,7 @@
 //!
 //! Unreal is left-handed, +Z up, centimetres. Its glTF importer takes (x, y, z) to (x, z, y), and so does this. A panorama
 //! becomes a cube by u = 1/2 + atan2(x, -y) / 2 pi of Unreal's axes (TextureCompressorModule.cpp), with the manifest's -Z in
-//! the middle: half a turn from OpenEXR's.
+//! the middle: half a turn from OpenEXR's. It takes whole pixels for their centres, and so does this.
 
 use glam::DVec3;
 use serde_json::{Value, json};
@@ -32,7 +32,7 @@ pub fn write(bake: &Bake, output: &mut Output) -> Result<()> {
     for probe in &bake.manifest.probes {
         let cubemap = bake.cubemap(probe)?;
         let name = format!("{}.hdr", probe.id);
-        Latlong::new(&Sampler::new(&cubemap), 2 * cubemap.size()).turned(2).write_hdr(&output.path(&name)?)?;
+        Latlong::of_corners(&Sampler::new(&cubemap), 2 * cubemap.size()).turned(2).write_hdr(&output.path(&name)?)?;
         probes.push(record(probe, &name));
     }
     let document = json!({

@@ -52,6 +52,8 @@ const pixels = () => {
 async function filamentViews(page) {
   await page.goto(url);
   await page.addScriptTag({ url: 'modules/gl-matrix/gl-matrix-min.js' });
+  // Filament expects its types as globals.
+  await page.evaluate(() => { Object.assign(window, glMatrix); });
   await page.addScriptTag({ url: 'modules/filament/filament.js' });
   return page.evaluate(async ([views, ups, probe, readPixels]) => {
     const read = new Function(`return (${readPixels})()`);
@@ -116,15 +118,18 @@ async function babylonViews(page) {
       scene.render();
       frames.push(read());
     }
-    return frames;
+    const harmonics = scene.environmentTexture.sphericalPolynomial.preScaledHarmonics;
+    const names = ['l00', 'l1_1', 'l10', 'l11', 'l2_2', 'l2_1', 'l20', 'l21', 'l22'];
+    return { frames, harmonics: names.map((name) => harmonics[name].asArray()) };
   }, [VIEWS, VIEWS.map(up), pixels.toString()]);
 }
 
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 const length = (v) => Math.hypot(...v);
 
-/// Largest angle and error of brightness over the pixels that are neither marked nor clipped; `linear` undoes the viewer's encoding.
-function judge(name, frames, handedness, manifestFromViewer, linear) {
+/// Largest angle and error of brightness over the pixels that are neither clipped nor touched by marks, where radiance is not
+/// (d + 1) / 2 of the unit direction d to within a tenth. A wrong orientation leaves few of them.
+function judge(name, frames, handedness, manifestFromViewer) {
   let worst = 0;
   let brightness = 0;
   let counted = 0;
@@ -137,16 +142,15 @@ function judge(name, frames, handedness, manifestFromViewer, linear) {
         const [sx, sy] = [((x + 0.5) / EDGE) * 2 - 1, 1 - ((y + 0.5) / EDGE) * 2];
         const ray = forward.map((value, axis) => value + sx * right[axis] + sy * upward[axis]);
         const expected = manifestFromViewer(ray.map((value) => value / length(ray)));
-        const bytes = frame.slice(4 * (y * EDGE + x), 4 * (y * EDGE + x) + 3);
-        if (Math.max(...bytes) > 252) continue;
-        const colour = bytes.map((byte) => linear(byte / 255));
-        // Without marks: radiance is (d + 1) / 2.
-        const code = colour.map((value) => 2 * value - 1);
-        // Where a mark is mixed in, the code is no unit vector.
-        if (Math.abs(length(code) - 1) > 0.1) continue;
-        const cosine = code.reduce((sum, value, axis) => sum + value * expected[axis], 0) / length(code);
+        const colour = frame.slice(4 * (y * EDGE + x), 4 * (y * EDGE + x) + 3).map((byte) => byte / 255);
+        if (Math.max(...colour) > 0.99) continue;
+        const code = expected.map((value) => (value + 1) / 2);
+        const factor = colour.reduce((sum, value, axis) => sum + value * code[axis], 0) / length(code) ** 2;
+        if (Math.abs(factor - 1) > 0.1) continue;
+        const found = colour.map((value) => 2 * value - 1);
+        const cosine = found.reduce((sum, value, axis) => sum + value * expected[axis], 0) / length(found);
         worst = Math.max(worst, Math.acos(Math.min(1, cosine)));
-        brightness = Math.max(brightness, ...colour.map((value, axis) => Math.abs(value - (expected[axis] + 1) / 2)));
+        brightness = Math.max(brightness, ...colour.map((value, axis) => Math.abs(value - code[axis])));
         counted++;
       }
     }
@@ -154,13 +158,37 @@ function judge(name, frames, handedness, manifestFromViewer, linear) {
   const share = counted / (6 * EDGE * EDGE);
   console.log(`${name}: directions within ${(worst / TEXEL).toFixed(2)} texels, ` +
     `radiance within ${brightness.toFixed(3)}, ${(100 * share).toFixed(0)} % of the pixels`);
-  return worst < TEXEL && share > 0.5 && brightness < 0.05;
+  return worst < TEXEL && share > 0.8 && brightness < 0.05;
+}
+
+/// Irradiance over pi as the shader of Babylon.js' PBR materials computes it, against Filament's, whose coefficients sh.txt holds.
+function judgeIrradiance(harmonics) {
+  const text = readFileSync(join(filament, probe, 'sh.txt'), 'utf8');
+  const sh = text.trim().split('\n').map((line) => line.slice(1, line.indexOf(')')).split(',').map(Number));
+  // Both shaders have this polynomial.
+  const irradiance = (coefficients, [x, y, z]) => {
+    const basis = [1, y, z, x, y * x, y * z, 3 * z * z - 1, z * x, x * x - y * y];
+    return [0, 1, 2].map((channel) => basis.reduce((sum, value, i) => sum + value * coefficients[i][channel], 0));
+  };
+  let worst = 0;
+  for (const [x, y, z] of VIEWS.concat([[0.6, 0.64, 0.48], [-0.48, 0.6, -0.64], [0.64, -0.48, -0.6]])) {
+    const expected = irradiance(sh, [x, y, z]);
+    const found = irradiance(harmonics, [-x, y, z]);
+    worst = Math.max(worst, ...found.map((value, channel) => Math.abs(value / expected[channel] - 1)));
+  }
+  console.log(`Babylon.js: irradiance within ${(100 * worst).toFixed(2)} % of Filament's`);
+  return worst < 0.001;
 }
 
 const page = await browser.newPage();
 page.on('pageerror', (error) => console.error(String(error)));
-const right = judge('Filament', await filamentViews(page), 1, (d) => d, (value) => value);
-const also = judge('Babylon.js', await babylonViews(page), -1, ([x, y, z]) => [-x, y, z], (value) => value ** 2.2);
+const shown = await filamentViews(page);
+const { frames, harmonics } = await babylonViews(page);
 await browser.close();
 server.close();
-process.exit(right && also ? 0 : 1);
+const verdicts = [
+  judge('Filament', shown, 1, (d) => d),
+  judge('Babylon.js', frames, -1, ([x, y, z]) => [-x, y, z]),
+  judgeIrradiance(harmonics),
+];
+process.exit(verdicts.every(Boolean) ? 0 : 1);
