@@ -20,6 +20,8 @@
 //! encode     cubemaps -> bytes: EXR, PNG
 //! manifest   what was baked, for engines
 //! compare    how much two images differ
+//! export     bakes as engines take them
+//! preview    a bake as one HTML file, for people
 //! pipeline   the whole bake as a handful of calls
 //! ```
 //!
@@ -55,6 +57,10 @@ pub mod encode;
 pub mod manifest;
 
 pub mod compare;
+
+pub mod export;
+
+pub mod preview;
 
 pub mod pipeline;
 

@@ -2,8 +2,10 @@
 
 mod bake;
 mod compare;
+mod export;
 mod inspect;
 mod place;
+mod preview;
 mod progress;
 mod schema;
 mod verify;
@@ -30,6 +32,8 @@ enum Command {
     Inspect(inspect::Inspect),
     Verify(verify::Verify),
     Compare(compare::Compare),
+    Export(export::Export),
+    Preview(preview::Preview),
     Schema(schema::Schema),
 }
 
@@ -42,6 +46,8 @@ impl Cli {
             Command::Inspect(command) => command.run(),
             Command::Verify(command) => command.run(),
             Command::Compare(command) => command.run(),
+            Command::Export(command) => command.run(),
+            Command::Preview(command) => command.run(),
             Command::Schema(command) => command.run(),
         }
     }

@@ -1,5 +1,5 @@
-//! KTX 2.0 cube maps with mips, each supercompressed with Zstandard (Khronos, "KTX File Format Specification", version
-//! 2.0; the descriptor: "Khronos Data Format Specification", version 1.4).
+//! KTX 2.0 cube maps with mips, plain or each supercompressed with Zstandard (Khronos, "KTX File Format Specification",
+//! version 2.0; the descriptor: "Khronos Data Format Specification", version 1.4).
 
 use std::path::Path;
 
@@ -20,8 +20,14 @@ const IDENTIFIER: [u8; 12] = *b"\xabKTX 20\xbb\r\n\x1a\n";
 /// VK_FORMAT_R16G16B16A16_SFLOAT and VK_FORMAT_E5B9G9R9_UFLOAT_PACK32.
 const VK_FORMATS: [u32; 2] = [97, 123];
 
-/// Supercompression scheme: Zstandard, each level by itself.
-const ZSTANDARD: u32 = 2;
+/// What is done to each level by itself.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Supercompression {
+    /// Nothing: a reader needs no decoder.
+    None = 0,
+    /// Zstandard.
+    Zstandard = 2,
+}
 
 /// Bytes of identifier, header and index, before the level index.
 const HEADER_BYTES: usize = 80;
@@ -29,16 +35,17 @@ const HEADER_BYTES: usize = 80;
 /// Largest value of a shared exponent's format: 511/512 of 2^16.
 const RGB9E5_MAX: f32 = 65408.0;
 
-/// Writes mips, the largest first and each half of the one before, with their faces in `slots`.
-///
-/// Alpha of half floats is 1. Values that the format cannot hold become the nearest that it can. The same mips give the
-/// same bytes. Fails with [`crate::Error::Write`].
+/// Writes a [`file`] with Zstandard. Fails with [`crate::Error::Write`].
 pub fn write(path: &Path, mips: &[&RgbCubemap], slots: &Slots, encoding: HdrEncoding) -> Result<()> {
-    let bytes = file(mips, slots, encoding);
+    let bytes = file(mips, slots, encoding, Supercompression::Zstandard);
     write_bytes_atomically(path, |writer| writer.write_all(&bytes))
 }
 
-fn file(mips: &[&RgbCubemap], slots: &Slots, encoding: HdrEncoding) -> Vec<u8> {
+/// The bytes of a file of mips, the largest first and each half of the one before, with their faces in `slots`.
+///
+/// Alpha of half floats is 1. Values that the format cannot hold become the nearest that it can. The same mips give the
+/// same bytes.
+pub fn file(mips: &[&RgbCubemap], slots: &Slots, encoding: HdrEncoding, compression: Supercompression) -> Vec<u8> {
     let (format, type_size) = match encoding {
         HdrEncoding::Rgba16f => (VK_FORMATS[0], 2),
         HdrEncoding::Rgb9e5 => (VK_FORMATS[1], 4),
@@ -47,7 +54,11 @@ fn file(mips: &[&RgbCubemap], slots: &Slots, encoding: HdrEncoding) -> Vec<u8> {
         .iter()
         .map(|mip| {
             let texels = texels(&slots.texels(mip), encoding);
-            (texels.len(), compress_to_vec(&texels[..], CompressionLevel::Fastest))
+            let length = texels.len();
+            match compression {
+                Supercompression::None => (length, texels),
+                Supercompression::Zstandard => (length, compress_to_vec(&texels[..], CompressionLevel::Fastest)),
+            }
         })
         .collect();
     let descriptor = descriptor(encoding);
@@ -58,26 +69,31 @@ fn file(mips: &[&RgbCubemap], slots: &Slots, encoding: HdrEncoding) -> Vec<u8> {
 
     let mut bytes = IDENTIFIER.to_vec();
     // Width, height, no depth, no array, six faces.
-    let header = [format, type_size, size, size, 0, 0, 6, levels.len() as u32, ZSTANDARD];
+    let header = [format, type_size, size, size, 0, 0, 6, levels.len() as u32, compression as u32];
     let index = [descriptor_start, descriptor.len(), key_values_start, key_values.len()];
     words(&mut bytes, header.into_iter().chain(index.map(|value| value as u32)));
     // No global data of the supercompression.
     bytes.extend([0; 16]);
-    // Compressed levels need no alignment; the smallest lies first in the file, the largest first in the index.
+    // Plain levels begin at a multiple of their texels' size. The smallest lies first in the file, the largest first in the
+    // index.
+    let alignment = if compression == Supercompression::None { texel_bytes(encoding) } else { 1 };
     let mut start = key_values_start + key_values.len();
     let mut starts = vec![0; levels.len()];
-    for (at, (_, compressed)) in starts.iter_mut().zip(&levels).rev() {
-        *at = start;
-        start += compressed.len();
+    for (at, (_, stored)) in starts.iter_mut().zip(&levels).rev() {
+        *at = start.next_multiple_of(alignment);
+        start = *at + stored.len();
     }
-    for (start, (length, compressed)) in starts.into_iter().zip(&levels) {
-        for value in [start, compressed.len(), *length] {
+    for (start, (length, stored)) in starts.iter().zip(&levels) {
+        for value in [*start, stored.len(), *length] {
             bytes.extend((value as u64).to_le_bytes());
         }
     }
     bytes.extend(descriptor);
     bytes.extend(key_values);
-    levels.iter().rev().for_each(|(_, compressed)| bytes.extend(compressed));
+    for (start, (_, stored)) in starts.into_iter().zip(&levels).rev() {
+        bytes.resize(start, 0);
+        bytes.extend(stored);
+    }
     bytes
 }
 
@@ -120,6 +136,13 @@ pub fn from_rgb9e5(packed: u32) -> Vec3 {
     Vec3::new((packed & 511) as f32, (packed >> 9 & 511) as f32, (packed >> 18 & 511) as f32) * unit
 }
 
+fn texel_bytes(encoding: HdrEncoding) -> usize {
+    match encoding {
+        HdrEncoding::Rgba16f => 8,
+        HdrEncoding::Rgb9e5 => 4,
+    }
+}
+
 /// The basic data format descriptor, with its total size before it.
 fn descriptor(encoding: HdrEncoding) -> Vec<u8> {
     // Bit offset, bits, channel with qualifiers, and the values that stand for 0 and 1.
@@ -138,10 +161,7 @@ fn descriptor(encoding: HdrEncoding) -> Vec<u8> {
             (0..3).flat_map(channel).collect()
         }
     };
-    let texel_bytes = match encoding {
-        HdrEncoding::Rgba16f => 8,
-        HdrEncoding::Rgb9e5 => 4,
-    };
+    let texel_bytes = texel_bytes(encoding) as u32;
     let block = 24 + 16 * samples.len() as u32;
     // RGBSDA, BT.709 primaries, linear transfer, straight alpha.
     const MODEL: u32 = 1 | 1 << 8 | 1 << 16;
@@ -197,7 +217,8 @@ mod tests {
             (HdrEncoding::Rgb9e5, Format::E5B9G9R9_UFLOAT_PACK32),
         ];
         for (encoding, format) in expected {
-            let bytes = file(&mips.iter().collect::<Vec<_>>(), &Slots::DIRECT, encoding);
+            let mips_by_reference: Vec<&RgbCubemap> = mips.iter().collect();
+            let bytes = file(&mips_by_reference, &Slots::DIRECT, encoding, Supercompression::Zstandard);
             let reader = Reader::new(&bytes[..]).unwrap();
             let header = reader.header();
             assert_eq!((header.pixel_width, header.pixel_height, header.face_count, header.level_count), (8, 8, 6, 3));
@@ -213,6 +234,14 @@ mod tests {
                 ruzstd::decoding::StreamingDecoder::new(level.data).unwrap().read_to_end(&mut inflated).unwrap();
                 assert_eq!(inflated.len() as u64, level.uncompressed_byte_length);
                 assert!(inflated == texels(&Slots::DIRECT.texels(mip), encoding));
+            }
+            let bytes = file(&mips_by_reference, &Slots::DIRECT, encoding, Supercompression::None);
+            let reader = Reader::new(&bytes[..]).unwrap();
+            assert_eq!(reader.header().supercompression_scheme, None);
+            for (level, mip) in reader.levels().zip(&mips) {
+                assert!(level.data == texels(&Slots::DIRECT.texels(mip), encoding));
+                let start = level.data.as_ptr() as usize - bytes.as_ptr() as usize;
+                assert_eq!(start % texel_bytes(encoding), 0);
             }
         }
     }

@@ -30,15 +30,33 @@ pub struct Latlong {
 impl Latlong {
     /// What `cubemap` shows, bilinearly.
     pub fn new(cubemap: &Sampler, height: u32) -> Self {
+        Self::sampled(cubemap, height, 0.5)
+    }
+
+    /// The same with what is in the direction of a pixel's top left corner, for readers that take pixels to lie there.
+    pub fn of_corners(cubemap: &Sampler, height: u32) -> Self {
+        Self::sampled(cubemap, height, 0.0)
+    }
+
+    /// `at` is the place in each pixel whose direction it shows.
+    fn sampled(cubemap: &Sampler, height: u32, at: f64) -> Self {
         let width = 2 * height as usize;
         let mut pixels = vec![Vec3::ZERO; width * height as usize];
         pixels.par_chunks_exact_mut(width).enumerate().for_each(|(y, row)| {
             for (x, pixel) in row.iter_mut().enumerate() {
-                let place = [(x as f64 + 0.5) / width as f64, (y as f64 + 0.5) / f64::from(height)];
+                let place = [(x as f64 + at) / width as f64, (y as f64 + at) / f64::from(height)];
                 *pixel = cubemap.radiance(direction(place).as_vec3());
             }
         });
         Self { height, pixels }
+    }
+
+    /// The same image with its columns moved to the right by `quarters` of the width, for those who look along another axis
+    /// in its middle. The width must be a multiple of 4.
+    pub fn turned(mut self, quarters: usize) -> Self {
+        let width = 2 * self.height as usize;
+        self.pixels.chunks_exact_mut(width).for_each(|row| row.rotate_right(width / 4 * quarters));
+        self
     }
 
     /// Writes Radiance RGBE: eight bits per channel and a shared exponent, rounded to the nearest, nothing below 0.

@@ -2,6 +2,7 @@
 
 pub mod exr;
 pub mod file;
+pub mod ktx1;
 pub mod ktx2;
 pub mod latlong;
 pub mod plan;
