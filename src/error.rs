@@ -45,6 +45,16 @@ pub enum Error {
         /// The operating system's answer.
         source: std::io::Error,
     },
+    /// An input is not what it was when the bake began: what was baked may be of neither version. Earlier output is untouched.
+    Changed {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Another process works on the output folder.
+    Busy {
+        /// The folder.
+        path: PathBuf,
+    },
     /// The bake was stopped from outside before it was done.
     Cancelled,
 }
@@ -91,7 +101,7 @@ impl Error {
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Request { .. } | Self::Invalid { .. } | Self::Unsupported { .. } | Self::Read { .. } => 2,
-            Self::Write { .. } | Self::Cancelled => 1,
+            Self::Write { .. } | Self::Changed { .. } | Self::Busy { .. } | Self::Cancelled => 1,
         }
     }
 }
@@ -104,6 +114,12 @@ impl std::fmt::Display for Error {
             Self::Unsupported { path, what } => write!(f, "{}: not supported: {what}", path.display()),
             Self::Read { path, source } => write!(f, "{}: cannot be read: {source}", path.display()),
             Self::Write { path, source } => write!(f, "{}: cannot be written: {source}", path.display()),
+            Self::Changed { path } => {
+                write!(f, "{}: changed while it was read; earlier output is untouched: bake again", path.display())
+            }
+            Self::Busy { path } => {
+                write!(f, "{}: another bake writes to this folder: wait for it or give another one", path.display())
+            }
             Self::Cancelled => write!(f, "stopped before the bake was done; earlier output is untouched"),
         }
     }

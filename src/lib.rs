@@ -20,6 +20,7 @@
 //! encode     cubemaps -> bytes: EXR, PNG
 //! manifest   what was baked, for engines
 //! compare    how much two images differ
+//! cache      what earlier bakes found out, by the hash of all that it depends on
 //! pipeline   the whole bake as a handful of calls
 //! ```
 //!
@@ -55,6 +56,8 @@ pub mod encode;
 pub mod manifest;
 
 pub mod compare;
+
+pub mod cache;
 
 pub mod pipeline;
 

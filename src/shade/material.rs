@@ -289,6 +289,7 @@ mod tests {
             triangle_materials: vec![0],
             materials: vec![material],
             textures: vec![Texture { image, wrap: [Wrap::Repeat; 2], filter: Filter::default() }],
+            ..Meshes::default()
         }
     }
 
