@@ -8,8 +8,10 @@
 //! change. What no rule of this kind sees is a file whose content changed and whose size, inode and times were all put
 //! back; on Unix the second time cannot be set by programs.
 
+use std::collections::BTreeMap;
 use std::fs::Metadata;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
@@ -30,9 +32,12 @@ pub struct Digest {
     pub blake3: String,
 }
 
-/// Where hashes of files are kept.
-#[derive(Debug, Clone, Copy)]
-pub struct Digests<'a>(pub Option<&'a Store>);
+/// Hashes of files, kept in memory and, where there is one, in a store.
+#[derive(Debug)]
+pub struct Digests<'a> {
+    store: Option<&'a Store>,
+    seen: Mutex<BTreeMap<PathBuf, Kept>>,
+}
 
 /// What the file system says of a file; times in nanoseconds since 1970.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -44,23 +49,27 @@ struct Stamp {
 }
 
 /// A digest and when it was true.
-#[derive(Debug, Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 struct Kept {
     stamp: Stamp,
     hashed: u64,
     digest: Digest,
 }
 
-impl Digests<'_> {
+impl<'a> Digests<'a> {
+    /// None yet, but those that `store` has.
+    pub fn new(store: Option<&'a Store>) -> Self {
+        Self { store, seen: Mutex::default() }
+    }
+
     /// The digest of the file at `path`.
     ///
     /// Fails with [`Error::Read`], and with [`Error::Changed`] where the file changes meanwhile.
     pub fn of(&self, path: &Path) -> Result<Digest> {
         let read = |source| Error::read(path, source);
         let absolute = std::path::absolute(path).map_err(read)?;
-        let key = Key::of("digest", &absolute.to_string_lossy());
         let stamp = Stamp::of(path)?;
-        if let Some(kept) = self.kept(&key)
+        if let Some(kept) = self.kept(&absolute)
             && kept.stamp == stamp
             && stamp.modified.max(stamp.changed) + TICK < kept.hashed
         {
@@ -72,17 +81,23 @@ impl Digests<'_> {
         if Stamp::of(path)? != stamp {
             return Err(Error::Changed { path: path.into() });
         }
-        let kept = Kept { stamp, hashed, digest };
-        if let (Some(store), Ok(json)) = (self.0, serde_json::to_vec(&kept)) {
+        let kept = Kept { stamp, hashed, digest: digest.clone() };
+        if let (Some(store), Ok(json)) = (self.store, serde_json::to_vec(&kept)) {
             // Without it the file is hashed again.
-            let _ = store.put(&key, &json);
+            let _ = store.put(&key_of(&absolute), &json);
         }
-        Ok(kept.digest)
+        self.seen.lock().unwrap_or_else(PoisonError::into_inner).insert(absolute, kept);
+        Ok(digest)
     }
 
-    fn kept(&self, key: &Key) -> Option<Kept> {
-        serde_json::from_slice(&self.0?.get(key)?).ok()
+    fn kept(&self, absolute: &Path) -> Option<Kept> {
+        let seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner).get(absolute).cloned();
+        seen.or_else(|| serde_json::from_slice(&self.store?.get(&key_of(absolute))?).ok())
     }
+}
+
+fn key_of(absolute: &Path) -> Key {
+    Key::of("digest", &absolute.to_string_lossy())
 }
 
 impl Stamp {
@@ -138,7 +153,7 @@ mod tests {
             old
         }
 
-        fn path(&self) -> std::path::PathBuf {
+        fn path(&self) -> PathBuf {
             self.folder.path().join("input")
         }
 
@@ -150,7 +165,7 @@ mod tests {
         }
 
         fn digest(&self) -> Digest {
-            Digests(Some(&self.store)).of(&self.path()).unwrap()
+            Digests::new(Some(&self.store)).of(&self.path()).unwrap()
         }
 
         /// Says that the file was hashed `seconds` later than now, and as something else.
@@ -158,8 +173,7 @@ mod tests {
             let hashed = nanoseconds(SystemTime::now() + Duration::from_secs(seconds));
             let digest = Digest { bytes: 5, blake3: "forged".into() };
             let kept = Kept { stamp: Stamp::of(&self.path()).unwrap(), hashed, digest };
-            let key = Key::of("digest", &self.path().to_string_lossy());
-            self.store.put(&key, &serde_json::to_vec(&kept).unwrap()).unwrap();
+            self.store.put(&key_of(&self.path()), &serde_json::to_vec(&kept).unwrap()).unwrap();
         }
     }
 
@@ -206,7 +220,7 @@ mod tests {
     fn a_folder_and_an_absent_file_are_errors() {
         let folder = tempfile::tempdir().unwrap();
         for path in [folder.path().to_owned(), folder.path().join("absent")] {
-            assert!(matches!(Digests(None).of(&path), Err(Error::Read { .. })));
+            assert!(matches!(Digests::new(None).of(&path), Err(Error::Read { .. })));
         }
     }
 }

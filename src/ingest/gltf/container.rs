@@ -123,7 +123,16 @@ impl Asset {
         let root = Root::deserialize(value).map_err(|e| Error::invalid(path, "JSON", format!("not glTF 2.0: {e}")))?;
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_path_buf();
         let path = path.to_path_buf();
-        let asset = Self { path, folder, root, local_transforms, materials, splats, buffers: Vec::new(), log: FileLog::default() };
+        let asset = Self {
+            path,
+            folder,
+            root,
+            local_transforms,
+            materials,
+            splats,
+            buffers: Vec::new(),
+            log: FileLog::default(),
+        };
         let glb_chunk = glb_chunk.map(|chunk| Bytes::new(Arc::new(bytes), chunk));
         Ok((asset, glb_chunk))
     }
