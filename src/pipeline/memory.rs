@@ -98,7 +98,9 @@ impl<'a> Memory<'a> {
     /// Keeps a finished probe: from now on an interrupted bake has something to go on from.
     pub fn put_probe(&self, key: &Key, bundle: &Bundle) {
         self.put(key, bundle);
-        self.workspace.set_resumable(self.is_journal());
+        if self.is_journal() {
+            self.workspace.set_resumable(true);
+        }
     }
 
     /// Keeps what was traced for a probe at `position` (world), where others may want it.

@@ -144,7 +144,6 @@ fn run(asked: &Job, job: &Job, progress: &dyn Progress, cancel: &AtomicBool) -> 
     };
     let known: Vec<bool> = chosen.par_iter().map(is_known).collect::<Result<_>>()?;
     let missing: Vec<usize> = chosen.iter().zip(&known).filter(|(_, known)| !**known).map(|(&i, _)| i).collect();
-    workspace.set_resumable(memory.is_journal() && missing.len() < chosen.len());
     let mut done = Done::default();
     if missing.is_empty() {
         progress.begin(0, 0);

@@ -45,9 +45,9 @@ impl Workspace {
         let folder = output.join(NAME);
         let lock = lock(output, &folder)?;
         let journal = Store::new(folder.join(JOURNAL));
-        let output = output.to_owned();
-        let workspace =
-            Self { output, folder, journal, _lock: lock, made_output, is_resumable: AtomicBool::new(false) };
+        // What a bake that was killed had done outlives one that fails.
+        let is_resumable = AtomicBool::new(journal.statistics().is_ok_and(|there| there.entries > 0));
+        let workspace = Self { output: output.to_owned(), folder, journal, _lock: lock, made_output, is_resumable };
         let staging = workspace.staging();
         workspace.clear_staging();
         std::fs::create_dir(&staging).map_err(|source| Error::write(staging, source))?;
