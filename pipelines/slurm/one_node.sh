@@ -16,8 +16,9 @@ command -v slurmctld > /dev/null || {
 chown munge: /etc/munge/munge.key
 chmod 400 /etc/munge/munge.key
 mkdir -p /run/munge && chown munge: /run/munge
-runuser -u munge -- munged
-munge -n | unmunge > /dev/null && echo "munge: works"
+munge -n 2> /dev/null | unmunge > /dev/null 2>&1 || runuser -u munge -- munged
+munge -n | unmunge > /dev/null
+echo "munge: works"
 
 mkdir -p "$work/state" "$work/spool"
 host=$(hostname -s)

@@ -80,7 +80,7 @@ fn a_placement_is_made_once_and_baked_in_parts() {
     let folder = few();
     let scene = "--splats few.ply --bounds -1,-1,-1,1,1,1";
     run(folder.path(), &format!("place {scene} --grid 3,1,2 -o plan"));
-    let bake = format!("bake --splats few.ply --placed plan/manifest.json --face-size 8");
+    let bake = "bake --splats few.ply --placed plan/manifest.json --face-size 8";
     run(folder.path(), &format!("{bake} -o whole"));
     for index in 1..=2 {
         run(folder.path(), &format!("{bake} --shard {index}/2 -o part_{index}"));
