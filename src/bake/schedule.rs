@@ -18,7 +18,7 @@ use crate::scene::Scene;
 use crate::trace::{Face, Radiance, Tile, TileTracer};
 
 /// Tiles in a batch per thread, about: enough for all to be busy, few enough that little is lost with a bake that is killed.
-const TILES_PER_THREAD: usize = 64;
+const TILES_PER_THREAD: usize = 32;
 
 /// Most bytes of cubemaps in a batch; two batches are held at a time. A probe that alone is larger is its own batch.
 const BATCH_BYTES: usize = 256 << 20;
