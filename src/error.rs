@@ -45,6 +45,23 @@ pub enum Error {
         /// The operating system's answer.
         source: std::io::Error,
     },
+    /// An input is not what it was when the bake began: what was baked may be of neither version. Earlier output is untouched.
+    Changed {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The time budget was over before all probes were baked. What is done is written, and the next bake goes on from there.
+    Unfinished {
+        /// The manifest that was written; it names the rest.
+        manifest: PathBuf,
+        /// How many probes are missing.
+        probes: usize,
+    },
+    /// Another process works on the output folder.
+    Busy {
+        /// The folder.
+        path: PathBuf,
+    },
     /// The bake was stopped from outside before it was done.
     Cancelled,
 }
@@ -87,11 +104,12 @@ impl Error {
         Self::Write { path: path.into(), source }
     }
 
-    /// Process exit code: 2 when the request or an input is wrong, 1 when the bake failed.
+    /// Process exit code: 2 when the request or an input is wrong, 1 when the bake failed, 3 when its time was over.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Request { .. } | Self::Invalid { .. } | Self::Unsupported { .. } | Self::Read { .. } => 2,
-            Self::Write { .. } | Self::Cancelled => 1,
+            Self::Write { .. } | Self::Changed { .. } | Self::Busy { .. } | Self::Cancelled => 1,
+            Self::Unfinished { .. } => 3,
         }
     }
 }
@@ -104,6 +122,15 @@ impl std::fmt::Display for Error {
             Self::Unsupported { path, what } => write!(f, "{}: not supported: {what}", path.display()),
             Self::Read { path, source } => write!(f, "{}: cannot be read: {source}", path.display()),
             Self::Write { path, source } => write!(f, "{}: cannot be written: {source}", path.display()),
+            Self::Changed { path } => {
+                write!(f, "{}: changed while it was read; earlier output is untouched: bake again", path.display())
+            }
+            Self::Unfinished { manifest, probes } => {
+                write!(f, "{}: {probes} probes are missing, the time was over: bake again to go on", manifest.display())
+            }
+            Self::Busy { path } => {
+                write!(f, "{}: another bake writes to this folder: wait for it or give another one", path.display())
+            }
             Self::Cancelled => write!(f, "stopped before the bake was done; earlier output is untouched"),
         }
     }

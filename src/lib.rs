@@ -22,6 +22,7 @@
 //! compare    how much two images differ
 //! export     bakes as engines take them
 //! preview    a bake as one HTML file, for people
+//! cache      what earlier bakes found out, by the hash of all that it depends on
 //! pipeline   the whole bake as a handful of calls
 //! ```
 //!
@@ -61,6 +62,8 @@ pub mod compare;
 pub mod export;
 
 pub mod preview;
+
+pub mod cache;
 
 pub mod pipeline;
 

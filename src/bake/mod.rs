@@ -1,6 +1,7 @@
 //! Probes to cubemaps, on all cores.
 
 mod calibration;
+mod progress;
 mod schedule;
 
 use schemars::JsonSchema;
@@ -12,7 +13,8 @@ use crate::shade::path::SurfaceNoise;
 use crate::trace::{Face, Tile};
 
 pub use calibration::Calibration;
-pub use schedule::bake_probes;
+pub use progress::{Progress, ProgressEvent, ProgressState, Silent};
+pub use schedule::{Earlier, TileSums, Traced, bake_probes, rebake_probes};
 
 // The rays of a texel are traced in one tile.
 const _: () = assert!(MAX_SAMPLES <= Tile::EDGE);
@@ -115,33 +117,4 @@ pub struct DistanceStatistics {
     pub mean: f64,
     /// Distance of the farthest texel that has any coverage.
     pub max: f64,
-}
-
-/// Hears how a bake goes. Called from any thread, in any order between `begin` and `finish`.
-pub trait Progress: Sync {
-    /// A bake of `probes` probes and `rays` rays in all begins.
-    fn begin(&self, probes: usize, rays: u64);
-
-    /// `rays` more rays have been traced.
-    fn advance(&self, rays: u64);
-
-    /// The probe with this index in the list of probes has been traced and delivered.
-    fn probe_done(&self, index: usize);
-
-    /// The bake has ended, whether it succeeded or not.
-    fn finish(&self);
-}
-
-/// Reports nothing.
-#[derive(Debug, Clone, Copy)]
-pub struct Silent;
-
-impl Progress for Silent {
-    fn begin(&self, _probes: usize, _rays: u64) {}
-
-    fn advance(&self, _rays: u64) {}
-
-    fn probe_done(&self, _index: usize) {}
-
-    fn finish(&self) {}
 }

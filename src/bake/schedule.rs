@@ -2,11 +2,12 @@
 //!
 //! The unit of work is a tile of at most [`Tile::EDGE`] rays squared. All tiles of a batch of probes are one parallel
 //! iteration, so that one probe with large faces and a thousand with small ones both keep every core busy. A batch is
-//! bounded in memory, and while it is traced the batch before it is delivered. Every texel belongs to one tile and
+//! bounded in memory and in tiles, and while it is traced the batch before it is delivered. Every texel belongs to one tile and
 //! sums are formed in tile order, so nothing depends on the number of threads.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
+use bytemuck::{Pod, Zeroable};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
@@ -15,6 +16,9 @@ use crate::error::{Error, Result};
 use crate::place::Probe;
 use crate::scene::Scene;
 use crate::trace::{Face, Radiance, Tile, TileTracer};
+
+/// Tiles in a batch per thread, about: enough for all to be busy, few enough that little is lost with a bake that is killed.
+const TILES_PER_THREAD: usize = 32;
 
 /// Most bytes of cubemaps in a batch; two batches are held at a time. A probe that alone is larger is its own batch.
 const BATCH_BYTES: usize = 256 << 20;
@@ -35,17 +39,85 @@ pub fn bake_probes(
     cancel: &AtomicBool,
     sink: impl Fn(usize, Cubemap, ProbeStatistics) -> Result<()> + Sync,
 ) -> Result<()> {
-    settings.check()?;
-    let failed = AtomicBool::new(false);
-    let bake = Bake { tracer, scene, settings, progress, cancel, failed: &failed, sink: &sink };
     progress.begin(probes.len(), probes.len() as u64 * settings.rays_per_probe());
-    let result = bake.run(probes, BATCH_BYTES);
+    let sink = |index, traced: Traced| {
+        let statistics = traced.statistics(settings);
+        sink(index, traced.cubemap, statistics)
+    };
+    let result = rebake_probes(tracer, scene, probes, settings, progress, cancel, &|_| None, sink);
     progress.finish();
-    result
+    result.map(drop)
 }
 
-/// A cubemap on its way to the sink.
-type Traced = (usize, Cubemap, ProbeStatistics);
+/// As [`bake_probes`], but keeps the tiles that `earlier` gives for a probe, by its index in `probes`. What does not fit
+/// `settings` is as if it were not given. Returns how many rays were traced; `progress` hears of those and of what is kept.
+#[expect(clippy::too_many_arguments)]
+pub fn rebake_probes(
+    tracer: &dyn TileTracer,
+    scene: &Scene,
+    probes: &[Probe],
+    settings: &BakeSettings,
+    progress: &dyn Progress,
+    cancel: &AtomicBool,
+    earlier: &(dyn Fn(usize) -> Option<Earlier> + Sync),
+    sink: impl Fn(usize, Traced) -> Result<()> + Sync,
+) -> Result<u64> {
+    settings.check()?;
+    let (failed, rays) = (AtomicBool::new(false), AtomicU64::new(0));
+    let bake = Bake { tracer, scene, settings, progress, cancel, earlier, failed: &failed, rays: &rays, sink: &sink };
+    bake.run(probes, BATCH_BYTES)?;
+    Ok(rays.into_inner())
+}
+
+/// What the rays of a probe brought.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Traced {
+    /// Means over texels.
+    pub cubemap: Cubemap,
+    /// Sums over each of [`BakeSettings::tiles`].
+    pub tiles: Vec<TileSums>,
+}
+
+impl Traced {
+    /// What the probe sees, in numbers; `settings` are those that it was traced with.
+    pub fn statistics(&self, settings: &BakeSettings) -> ProbeStatistics {
+        let sums = self.tiles.iter().fold(TileSums::default(), |sums, tile| sums.merged(tile));
+        let texels = 6.0 * f64::from(settings.face_size).powi(2);
+        ProbeStatistics {
+            rays: settings.rays_per_probe(),
+            mean_coverage: sums.coverage / texels,
+            distance: (sums.coverage > 0.0).then(|| DistanceStatistics {
+                min: f64::from(sums.min_distance),
+                mean: sums.distance / sums.coverage,
+                max: f64::from(sums.max_distance),
+            }),
+            hidden_backs: None,
+            surface_noise: None,
+        }
+    }
+}
+
+/// A probe as it was traced before, and which of its tiles are still true.
+#[derive(Debug, Clone)]
+pub struct Earlier {
+    /// What was traced.
+    pub traced: Traced,
+    /// Whether each of [`BakeSettings::tiles`] is kept.
+    pub kept: Vec<bool>,
+}
+
+impl Earlier {
+    fn fits(&self, settings: &BakeSettings) -> bool {
+        let Traced { cubemap, tiles } = &self.traced;
+        let texels = 6 * (settings.face_size as usize).pow(2);
+        let distances = cubemap.distance.as_ref().map(Vec::len);
+        cubemap.face_size == settings.face_size
+            && cubemap.texels.len() == texels
+            && distances == settings.distance.then_some(texels)
+            && tiles.len() == settings.tiles().len()
+            && self.kept.len() == tiles.len()
+    }
+}
 
 /// What stays the same throughout a bake.
 struct Bake<'a, Sink> {
@@ -54,15 +126,15 @@ struct Bake<'a, Sink> {
     settings: &'a BakeSettings,
     progress: &'a dyn Progress,
     cancel: &'a AtomicBool,
+    earlier: &'a (dyn Fn(usize) -> Option<Earlier> + Sync),
     failed: &'a AtomicBool,
+    rays: &'a AtomicU64,
     sink: &'a Sink,
 }
 
-impl<Sink: Fn(usize, Cubemap, ProbeStatistics) -> Result<()> + Sync> Bake<'_, Sink> {
+impl<Sink: Fn(usize, Traced) -> Result<()> + Sync> Bake<'_, Sink> {
     fn run(&self, probes: &[Probe], batch_bytes: usize) -> Result<()> {
-        let texel_bytes = if self.settings.distance { 20 } else { 16 };
-        let probe_bytes = 6 * (self.settings.face_size as usize).pow(2) * texel_bytes;
-        let batch_len = (batch_bytes / probe_bytes).max(1);
+        let batch_len = self.settings.batch_len(batch_bytes);
         let mut before = Vec::new();
         for (number, batch) in probes.chunks(batch_len).enumerate() {
             let (delivered, traced) =
@@ -74,42 +146,59 @@ impl<Sink: Fn(usize, Cubemap, ProbeStatistics) -> Result<()> + Sync> Bake<'_, Si
         self.deliver(before)
     }
 
-    fn deliver(&self, batch: Vec<Traced>) -> Result<()> {
-        batch.into_par_iter().with_max_len(1).try_for_each(|(index, cubemap, statistics)| {
+    fn deliver(&self, batch: Vec<(usize, Traced)>) -> Result<()> {
+        batch.into_par_iter().with_max_len(1).try_for_each(|(index, traced)| {
             if self.failed.load(Ordering::Relaxed) {
                 // Another delivery's error is on its way to the caller; a second one must not overtake it.
                 return Ok(());
             }
             self.check_stopped()?;
-            (self.sink)(index, cubemap, statistics).inspect_err(|_| self.failed.store(true, Ordering::Relaxed))?;
+            (self.sink)(index, traced).inspect_err(|_| self.failed.store(true, Ordering::Relaxed))?;
             self.progress.probe_done(index);
             Ok(())
         })
     }
 
-    fn trace_batch(&self, first: usize, probes: &[Probe]) -> Result<Vec<Traced>> {
-        let mut cubemaps: Vec<Cubemap> = probes.iter().map(|_| Cubemap::empty(self.settings)).collect();
+    fn trace_batch(&self, first: usize, probes: &[Probe]) -> Result<Vec<(usize, Traced)>> {
+        let (mut cubemaps, kept): (Vec<Cubemap>, Vec<Vec<Option<TileSums>>>) =
+            (first..first + probes.len()).into_par_iter().map(|index| self.before(index)).unzip();
         let origins = probes.iter().map(|probe| probe.position - self.scene.origin);
         let tasks: Vec<Task> = cubemaps
             .iter_mut()
             .zip(origins)
-            .flat_map(|(cubemap, origin)| tasks(cubemap, origin, self.settings))
+            .zip(kept)
+            .flat_map(|((cubemap, origin), kept)| tasks(cubemap, origin, self.settings, kept))
             .collect();
         let tasks_per_probe = tasks.len() / probes.len();
-        let sums: Vec<Sums> =
+        let sums: Vec<TileSums> =
             tasks.into_par_iter().with_max_len(1).map(|task| self.trace(task)).collect::<Result<_>>()?;
-        let statistics = sums.chunks(tasks_per_probe).map(|sums| self.statistics(sums));
-        Ok((first..).zip(cubemaps).zip(statistics).map(|((i, cubemap), statistics)| (i, cubemap, statistics)).collect())
+        let tiles = sums.chunks(tasks_per_probe).map(<[TileSums]>::to_vec);
+        Ok((first..).zip(cubemaps.into_iter().zip(tiles).map(|(cubemap, tiles)| Traced { cubemap, tiles })).collect())
     }
 
-    /// Traces a tile and writes the means of its rays to its texels.
-    fn trace(&self, mut task: Task) -> Result<Sums> {
+    /// What a probe's tiles are before they are traced, and the sums over those that stay so.
+    fn before(&self, index: usize) -> (Cubemap, Vec<Option<TileSums>>) {
+        match (self.earlier)(index).filter(|earlier| earlier.fits(self.settings)) {
+            Some(Earlier { traced, kept }) => {
+                let kept = kept.into_iter().zip(traced.tiles).map(|(kept, sums)| kept.then_some(sums)).collect();
+                (traced.cubemap, kept)
+            }
+            None => (Cubemap::empty(self.settings), vec![None; self.settings.tiles().len()]),
+        }
+    }
+
+    /// Traces a tile and writes the means of its rays to its texels, unless it is kept.
+    fn trace(&self, mut task: Task) -> Result<TileSums> {
         self.check_stopped()?;
+        if let Some(sums) = task.kept {
+            self.progress.advance(task.tile.len() as u64);
+            return Ok(sums);
+        }
         let mut rays = vec![Radiance::default(); task.tile.len()];
         self.tracer.trace_tile(task.origin, &task.tile, &mut rays);
         let samples = self.settings.samples as usize;
         let ray_columns = task.tile.width as usize;
-        let mut sums = Sums::default();
+        let mut sums = TileSums::default();
         for (y, row) in task.rows.iter_mut().enumerate() {
             for (x, texel) in row.iter_mut().enumerate() {
                 let first_ray = y * samples * ray_columns + x * samples;
@@ -123,6 +212,7 @@ impl<Sink: Fn(usize, Cubemap, ProbeStatistics) -> Result<()> + Sync> Bake<'_, Si
             }
         }
         self.progress.advance(task.tile.len() as u64);
+        self.rays.fetch_add(task.tile.len() as u64, Ordering::Relaxed);
         Ok(sums)
     }
 
@@ -147,22 +237,6 @@ impl<Sink: Fn(usize, Cubemap, ProbeStatistics) -> Result<()> + Sync> Bake<'_, Si
         ((rgb / count).extend(coverage / count).to_array(), distance)
     }
 
-    fn statistics(&self, tiles: &[Sums]) -> ProbeStatistics {
-        let sums = tiles.iter().fold(Sums::default(), |sums, tile| sums.merged(tile));
-        let texels = 6.0 * f64::from(self.settings.face_size).powi(2);
-        ProbeStatistics {
-            rays: self.settings.rays_per_probe(),
-            mean_coverage: sums.coverage / texels,
-            distance: (sums.coverage > 0.0).then(|| DistanceStatistics {
-                min: f64::from(sums.min_distance),
-                mean: sums.distance / sums.coverage,
-                max: f64::from(sums.max_distance),
-            }),
-            hidden_backs: None,
-            surface_noise: None,
-        }
-    }
-
     fn check_stopped(&self) -> Result<()> {
         let stopped = self.cancel.load(Ordering::Relaxed) || self.failed.load(Ordering::Relaxed);
         if stopped { Err(Error::Cancelled) } else { Ok(()) }
@@ -173,40 +247,67 @@ impl<Sink: Fn(usize, Cubemap, ProbeStatistics) -> Result<()> + Sync> Bake<'_, Si
 struct Task<'a> {
     origin: DVec3,
     tile: Tile,
+    /// Sums over the texels where they are as they should be already.
+    kept: Option<TileSums>,
     rows: Vec<&'a mut [[f32; 4]]>,
     /// Empty when distances are not kept.
     distance_rows: Vec<&'a mut [f32]>,
 }
 
-/// Cuts a cubemap into tiles that can be written independently. `origin` is the probe's, relative to the scene's.
-fn tasks<'a>(cubemap: &'a mut Cubemap, origin: DVec3, settings: &BakeSettings) -> Vec<Task<'a>> {
-    let (face_size, samples) = (settings.face_size, settings.samples);
-    // A texel on an edge has half of its rays beyond it.
-    let (face_rays, beyond) =
-        if settings.edge_texels { ((face_size - 1) * samples, samples / 2) } else { (face_size * samples, 0) };
-    let first_ray = |texel: u32| (texel * samples) as i32 - beyond as i32;
-    let tile_texels = Tile::EDGE / samples;
-    let starts = || (0..face_size).step_by(tile_texels as usize);
-    let rays = |start: u32| tile_texels.min(face_size - start) * samples;
-    let mut tasks: Vec<Task> = Face::ALL
-        .into_iter()
-        .flat_map(|face| starts().flat_map(move |y| starts().map(move |x| (face, x, y))))
-        .map(|(face, x, y)| Task {
-            origin,
-            tile: Tile {
-                face,
-                face_size: face_rays,
-                x: first_ray(x),
-                y: first_ray(y),
-                width: rays(x),
-                height: rays(y),
-            },
-            rows: Vec::new(),
-            distance_rows: Vec::new(),
-        })
-        .collect();
-    let tiles_per_row = starts().count();
-    let (face_size, tile_texels) = (face_size as usize, tile_texels as usize);
+impl BakeSettings {
+    /// The tiles of rays that a probe is traced in, face by face, row by row: each is traced by itself.
+    pub fn tiles(&self) -> Vec<Tile> {
+        let (face_size, samples) = (self.face_size, self.samples);
+        // A texel on an edge has half of its rays beyond it.
+        let (face_rays, beyond) =
+            if self.edge_texels { ((face_size - 1) * samples, samples / 2) } else { (face_size * samples, 0) };
+        let first_ray = |texel: u32| (texel * samples) as i32 - beyond as i32;
+        let rays = |start: u32| self.tile_texels().min(face_size - start) * samples;
+        let starts = || (0..face_size).step_by(self.tile_texels() as usize);
+        let tile = |face, x, y| Tile {
+            face,
+            face_size: face_rays,
+            x: first_ray(x),
+            y: first_ray(y),
+            width: rays(x),
+            height: rays(y),
+        };
+        let places =
+            Face::ALL.into_iter().flat_map(|face| starts().flat_map(move |y| starts().map(move |x| (face, x, y))));
+        places.map(|(face, x, y)| tile(face, x, y)).collect()
+    }
+
+    /// How many probes are traced together, by the threads that are there.
+    pub fn probes_at_a_time(&self) -> usize {
+        self.batch_len(BATCH_BYTES)
+    }
+
+    fn batch_len(&self, batch_bytes: usize) -> usize {
+        let texel_bytes = if self.distance { 20 } else { 16 };
+        let probe_bytes = 6 * (self.face_size as usize).pow(2) * texel_bytes;
+        let tiles = rayon::current_num_threads() * TILES_PER_THREAD;
+        (batch_bytes / probe_bytes).min(tiles.div_ceil(self.tiles().len())).max(1)
+    }
+
+    /// Texels along an edge of a tile.
+    fn tile_texels(&self) -> u32 {
+        Tile::EDGE / self.samples
+    }
+}
+
+/// Cuts a cubemap into tiles that can be written independently; `kept` has one element for each. `origin` is the probe's,
+/// relative to the scene's.
+fn tasks<'a>(
+    cubemap: &'a mut Cubemap,
+    origin: DVec3,
+    settings: &BakeSettings,
+    kept: Vec<Option<TileSums>>,
+) -> Vec<Task<'a>> {
+    let tiles = settings.tiles().into_iter().zip(kept);
+    let mut tasks: Vec<Task> =
+        tiles.map(|(tile, kept)| Task { origin, tile, kept, rows: Vec::new(), distance_rows: Vec::new() }).collect();
+    let (face_size, tile_texels) = (settings.face_size as usize, settings.tile_texels() as usize);
+    let tiles_per_row = face_size.div_ceil(tile_texels);
     // The first of the tiles that a row of the whole cubemap passes through.
     let first_tile = |row: usize| (row / face_size * tiles_per_row + row % face_size / tile_texels) * tiles_per_row;
     for (y, row) in cubemap.texels.chunks_exact_mut(face_size).enumerate() {
@@ -223,21 +324,26 @@ fn tasks<'a>(cubemap: &'a mut Cubemap, origin: DVec3, settings: &BakeSettings) -
 }
 
 /// Sums over texels, for statistics.
-struct Sums {
-    coverage: f64,
-    /// Coverage times distance.
-    distance: f64,
-    min_distance: f32,
-    max_distance: f32,
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct TileSums {
+    /// Sum of coverage.
+    pub coverage: f64,
+    /// Sum of coverage times distance, in metres.
+    pub distance: f64,
+    /// Least distance of a texel with coverage, in metres; infinite without any.
+    pub min_distance: f32,
+    /// Largest, in metres.
+    pub max_distance: f32,
 }
 
-impl Default for Sums {
+impl Default for TileSums {
     fn default() -> Self {
         Self { coverage: 0.0, distance: 0.0, min_distance: f32::INFINITY, max_distance: 0.0 }
     }
 }
 
-impl Sums {
+impl TileSums {
     fn add(&mut self, coverage: f32, distance: f32) {
         if coverage > 0.0 {
             self.coverage += f64::from(coverage);
@@ -304,20 +410,28 @@ mod tests {
         Scene { origin: DVec3::X * 100.0, background: LinearRgb(Vec3::splat(background)), ..Scene::default() }
     }
 
-    fn bake(count: usize, settings: BakeSettings, threads: usize, batch_bytes: usize) -> Vec<Traced> {
+    fn bake(
+        count: usize,
+        settings: BakeSettings,
+        threads: usize,
+        batch_bytes: usize,
+    ) -> Vec<(usize, Cubemap, ProbeStatistics)> {
         let delivered = Mutex::new(Vec::new());
-        let sink = |index, cubemap, statistics| {
-            delivered.lock().unwrap().push((index, cubemap, statistics));
+        let sink = |index, traced: Traced| {
+            let statistics = traced.statistics(&settings);
+            delivered.lock().unwrap().push((index, traced.cubemap, statistics));
             Ok(())
         };
-        let (cancel, failed) = (AtomicBool::new(false), AtomicBool::new(false));
+        let (cancel, failed, rays) = (AtomicBool::new(false), AtomicBool::new(false), AtomicU64::new(0));
         let bake = Bake {
             tracer: &DirectionColours,
             scene: &scene(0.0),
             settings: &settings,
             progress: &Silent,
             cancel: &cancel,
+            earlier: &|_| None,
             failed: &failed,
+            rays: &rays,
             sink: &sink,
         };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
@@ -356,6 +470,39 @@ mod tests {
         assert!(one == bake(5, settings, 2, BATCH_BYTES));
         assert!(one == bake(5, settings, 4, 2 * 6 * 70 * 70 * 20));
         assert!(one == bake(5, settings, 2, 1));
+    }
+
+    #[test]
+    fn kept_tiles_are_not_traced_and_the_others_are() {
+        let settings = BakeSettings { face_size: 70, samples: 2, distance: true, edge_texels: false };
+        let delivered = Mutex::new(Vec::new());
+        let sink = |_, traced| {
+            delivered.lock().unwrap().push(traced);
+            Ok(())
+        };
+        let cancel = AtomicBool::new(false);
+        let again = |earlier: Option<Earlier>| {
+            let (scene, earlier) = (scene(0.0), |_| earlier.clone());
+            let probes = probes(1);
+            let rays =
+                rebake_probes(&DirectionColours, &scene, &probes, &settings, &Silent, &cancel, &earlier, sink).unwrap();
+            (rays, delivered.lock().unwrap().pop().unwrap())
+        };
+        let (rays, whole) = again(None);
+        assert_eq!(rays, settings.rays_per_probe());
+        let mut earlier = Earlier { traced: whole.clone(), kept: vec![true; settings.tiles().len()] };
+        // What is not kept is wrong, and a kept tile shows that it was not looked at.
+        earlier.kept[3] = false;
+        let tile = settings.tiles()[3];
+        let (x, y) = (tile.x as usize / 2, tile.y as usize / 2);
+        earlier.traced.cubemap.texels[y * 70 + x] = [9.0; 4];
+        earlier.traced.tiles[3] = TileSums::default();
+        assert_eq!(again(Some(earlier.clone())), (tile.len() as u64, whole.clone()));
+        earlier.traced.cubemap.texels[0] = [9.0; 4];
+        assert_eq!(again(Some(earlier.clone())).1.cubemap.texels[0], [9.0; 4]);
+        // Of another size it is nothing.
+        earlier.kept.pop();
+        assert_eq!(again(Some(earlier)), (rays, whole));
     }
 
     #[test]

@@ -3,6 +3,8 @@
 //! obvhs's working memory is some 260 bytes per primitive, more than a Gaussian with its colour. Clusters of up to
 //! eight neighbours cut that, and the build time, to a fraction; they become the lowest nodes.
 
+use std::ops::Range;
+
 use glam::Vec3;
 use obvhs::aabb::Aabb;
 use obvhs::bvh2::Bvh2;
@@ -11,7 +13,7 @@ use obvhs::ploc::{PlocBuilder, PlocSearchDistance, SortPrecision};
 use rayon::prelude::*;
 
 use super::boxes::{Box3, gaussian_box, triangle_box};
-use super::{Bvh, Child, WIDTH, WideNode};
+use super::{Bvh, Child, MESH_LANES, WIDTH, WideNode};
 use crate::scene::{Meshes, Scene, Splats};
 
 /// A cluster may cover this many times its members' summed surface area. Larger values give fewer, looser nodes.
@@ -31,18 +33,44 @@ struct Cluster {
 
 impl Bvh {
     /// Sorts the scene's Gaussians and triangles into leaf order and builds the tree over them.
+    ///
+    /// Below the root, the Gaussians and each of the first mesh inputs have a lane of their own; further inputs share the
+    /// last one. What is below a lane depends on nothing else, so that a ray which meets no box of a changed input takes
+    /// the very same way through the tree: that is what lets a bake keep tiles.
     pub fn build(scene: &mut Scene) -> Self {
         let splats = &scene.splats;
-        let gaussian_codes = sort_by_morton_code(splats.len(), |i| splats.means[i], |i| gaussian_box(splats, i));
-        scene.splats.reorder(&gaussian_codes.order);
+        let MortonOrder { order, codes } =
+            sort_by_morton_code(0..splats.len(), |i| splats.means[i], |i| gaussian_box(splats, i));
+        scene.splats.reorder(&order);
+        drop(order);
+        let clusters = gaussian_clusters(&scene.splats, &codes);
+        drop(codes);
+        // About as many nodes as clusters; growing by doubling would hold the largest array of a build twice.
+        let mut nodes = Vec::with_capacity(clusters.len() + 2);
+        nodes.push(WideNode::EMPTY);
+        add_below_root(&mut nodes, 0, scene, &clusters);
+        drop(clusters);
+
         let meshes = &scene.meshes;
-        let triangle_centre = |i| meshes.corners(i).iter().sum::<Vec3>() / 3.0;
-        let triangle_codes = sort_by_morton_code(meshes.triangles.len(), triangle_centre, |i| triangle_box(meshes, i));
-        scene.meshes.reorder_triangles(&triangle_codes.order);
-        let mut clusters = gaussian_clusters(&scene.splats, &gaussian_codes.codes);
-        drop(gaussian_codes);
-        clusters.extend(triangle_clusters(&scene.meshes, &triangle_codes.codes));
-        Self { nodes: widen(scene, &clusters) }
+        let centre = |i| meshes.corners(i).iter().sum::<Vec3>() / 3.0;
+        let parts = meshes.parts(MESH_LANES);
+        let sorted = parts.into_iter().map(|part| sort_by_morton_code(part, centre, |i| triangle_box(meshes, i)));
+        let sorted: Vec<MortonOrder> = sorted.collect();
+        scene.meshes.reorder_triangles(&sorted.iter().flat_map(|part| &part.order).copied().collect::<Vec<u32>>());
+        let mut first = 0;
+        for (part, MortonOrder { codes, .. }) in sorted.into_iter().enumerate() {
+            let clusters = triangle_clusters(&scene.meshes, &codes, first);
+            first += codes.len();
+            add_below_root(&mut nodes, 1 + part, scene, &clusters);
+        }
+        let is_empty = (0..WIDTH).all(|lane| nodes[0].lane_box(lane).is_none());
+        Self { nodes: if is_empty { Vec::new() } else { nodes } }
+    }
+
+    /// The boxes of what has a lane of its own: the Gaussians, and then the mesh inputs, of which those from number
+    /// [`MESH_LANES`] on share one. `None` for what is empty.
+    pub fn part_boxes(&self) -> [Option<Box3>; WIDTH] {
+        std::array::from_fn(|lane| self.nodes.first().and_then(|root| root.lane_box(lane)))
     }
 }
 
@@ -56,16 +84,16 @@ struct MortonOrder {
 }
 
 fn sort_by_morton_code(
-    count: usize,
+    range: Range<usize>,
     centre: impl Fn(usize) -> Vec3 + Sync,
     box_of: impl Fn(usize) -> Box3 + Sync,
 ) -> MortonOrder {
     // The curve's cells span the middle 98 % of the centres and as much again around them, so that a stray
     // primitive a million metres away does not put the whole scene into one cell.
-    let step = count.div_ceil(1 << 16).max(1);
+    let step = range.len().div_ceil(1 << 16).max(1);
     let sample = |axis: usize| {
         let mut values: Vec<f32> =
-            (0..count).step_by(step).map(|i| centre(i)[axis]).filter(|x| x.is_finite()).collect();
+            range.clone().step_by(step).map(|i| centre(i)[axis]).filter(|x| x.is_finite()).collect();
         values.sort_unstable_by(f32::total_cmp);
         let at = |share: f64| values.get(((values.len().max(1) - 1) as f64 * share) as usize).copied().unwrap_or(0.0);
         let (low, high) = (f64::from(at(0.01)), f64::from(at(0.99)));
@@ -73,7 +101,7 @@ fn sort_by_morton_code(
         (low - margin, MORTON_CELLS / (high - low + 2.0 * margin).max(f64::MIN_POSITIVE))
     };
     let axes = [sample(0), sample(1), sample(2)];
-    let mut keyed: Vec<(u64, u32)> = (0..count)
+    let mut keyed: Vec<(u64, u32)> = range
         .into_par_iter()
         .map(|i| {
             let point = centre(i);
@@ -105,40 +133,42 @@ fn spread_bits(x: u64) -> u64 {
 }
 
 fn gaussian_clusters(splats: &Splats, codes: &[u64]) -> Vec<Cluster> {
-    clusters(codes, false, |i| gaussian_box(splats, i))
+    clusters(codes, 0, false, |i| gaussian_box(splats, i))
 }
 
-fn triangle_clusters(meshes: &Meshes, codes: &[u64]) -> Vec<Cluster> {
-    clusters(codes, true, |i| triangle_box(meshes, i))
+/// Of the triangles from `first` on, whose codes are given.
+fn triangle_clusters(meshes: &Meshes, codes: &[u64], first: usize) -> Vec<Cluster> {
+    clusters(codes, first, true, |i| triangle_box(meshes, i))
 }
 
 /// Groups neighbours on the curve into clusters of at most [`WIDTH`], and all that share a cell into one cluster of any
 /// size: PLOC turns coincident boxes into a chain, in quadratic time.
-fn clusters(codes: &[u64], triangles: bool, box_of: impl Fn(usize) -> Box3 + Sync) -> Vec<Cluster> {
+fn clusters(codes: &[u64], first: usize, triangles: bool, box_of: impl Fn(usize) -> Box3 + Sync) -> Vec<Cluster> {
     // Fixed blocks, so that the clusters do not depend on the number of threads.
     const BLOCK: usize = 1 << 14;
     let starts: Vec<usize> = (0..codes.len()).step_by(BLOCK).collect();
     starts
         .into_par_iter()
-        .map(|start| cluster_block(codes, start..(start + BLOCK).min(codes.len()), triangles, &box_of))
+        .map(|start| cluster_block(codes, start..(start + BLOCK).min(codes.len()), first, triangles, &box_of))
         .flatten_iter()
         .collect()
 }
 
 fn cluster_block(
     codes: &[u64],
-    block: std::ops::Range<usize>,
+    block: Range<usize>,
+    first: usize,
     triangles: bool,
     box_of: &(impl Fn(usize) -> Box3 + Sync),
 ) -> Vec<Cluster> {
     let mut clusters = Vec::with_capacity(block.len() / 4 + 1);
     let mut open: Option<(Cluster, f32)> = None;
     for i in block {
-        let own_box = box_of(i);
+        let own_box = box_of(first + i);
         let own_area = own_box.half_area();
         if let Some((cluster, area)) = &mut open {
             let union = cluster.child_box.union(own_box);
-            let coincident = codes[i] == codes[cluster.first as usize];
+            let coincident = codes[i] == codes[cluster.first as usize - first];
             let tight = union.half_area() <= CLUSTER_LOOSENESS * (*area + own_area);
             if coincident || (tight && (cluster.count as usize) < WIDTH) {
                 cluster.child_box = union;
@@ -148,24 +178,25 @@ fn cluster_block(
             }
             clusters.push(*cluster);
         }
-        open = Some((Cluster { child_box: own_box, first: i as u32, count: 1, triangles }, own_area));
+        open = Some((Cluster { child_box: own_box, first: (first + i) as u32, count: 1, triangles }, own_area));
     }
     clusters.extend(open.map(|(cluster, _)| cluster));
     clusters
 }
 
-/// Builds obvhs's binary tree over the clusters and widens it from the root: the inner child with the largest surface
-/// is replaced by its two children until a node has eight.
-fn widen(scene: &Scene, clusters: &[Cluster]) -> Vec<WideNode> {
+/// Builds obvhs's binary tree over the clusters and widens it, below `lane` of the root: the inner child with the largest
+/// surface is replaced by its two children until a node has eight.
+fn add_below_root(nodes: &mut Vec<WideNode>, lane: usize, scene: &Scene, clusters: &[Cluster]) {
     if clusters.is_empty() {
-        return Vec::new();
+        return;
     }
     let binary = binary_tree(clusters);
-    // About as many nodes as clusters; growing by doubling would hold the largest array of a build twice.
-    let mut nodes = Vec::with_capacity(clusters.len() + 1);
+    let bounds = clusters.iter().map(|cluster| cluster.child_box).fold(Box3::EMPTY, Box3::union);
+    let top = nodes.len();
+    nodes[0].set(lane, bounds, Child::Node(top as u32));
     nodes.push(WideNode::EMPTY);
     // An explicit stack: the depth of a tree over hostile input is bounded only by its size.
-    let mut pending = vec![(0usize, Slot::of(0, &binary, clusters))];
+    let mut pending = vec![(top, Slot::of(0, &binary, clusters))];
     while let Some((target, slot)) = pending.pop() {
         for (lane, (child_box, slot)) in children(slot, &binary, scene, clusters).into_iter().enumerate() {
             let child = match slot {
@@ -180,8 +211,6 @@ fn widen(scene: &Scene, clusters: &[Cluster]) -> Vec<WideNode> {
             nodes[target].set(lane, child_box, child);
         }
     }
-    // Not shrunk: that would copy, and capacity that was never touched takes no memory.
-    nodes
 }
 
 /// Something that becomes a lane of a wide node, and what is below that lane.

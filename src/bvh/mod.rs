@@ -16,6 +16,9 @@ pub use boxes::{Box3, gaussian_box};
 /// Children per node.
 pub const WIDTH: usize = 8;
 
+/// Lanes of the root that mesh inputs have; the first lane is the Gaussians'.
+pub const MESH_LANES: usize = WIDTH - 1;
+
 /// The tree. Leaves refer to [`crate::scene::Splats`] and [`crate::scene::Meshes::triangles`], which
 /// [`Bvh::build`] has put in leaf order.
 #[derive(Debug, Default)]

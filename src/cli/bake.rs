@@ -6,7 +6,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use clap::Args;
 use splatprobe::job::{
     Background, Crop, Footprint, Frame, HdrEncoding, Job, MeshInput, MissingTexture, Order, OutputKind, Pixel,
-    ProgressStyle, RoughnessCurve, ShDirection, SplatInput, Surface, Tonemapper, Tracer, Transform, parse_numbers,
+    ProgressStyle, RoughnessCurve, ShDirection, Shard, SplatInput, Surface, Tonemapper, Tracer, Transform,
+    parse_numbers,
 };
 use splatprobe::scene::SplatEncoding;
 use splatprobe::{Error, Result, pipeline};
@@ -125,6 +126,9 @@ pub struct Bake {
     /// Probe position in metres, instead of a grid; repeat it for more.
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_numbers::<3>, allow_hyphen_values = true, help_heading = "Placement")]
     probe: Vec<[f64; 3]>,
+    /// Bake the probes of this manifest, of `place` or of a bake, instead of a grid.
+    #[arg(long, value_name = "MANIFEST", conflicts_with_all = ["grid", "probe"], help_heading = "Placement")]
+    placed: Option<PathBuf>,
     /// Place probes where the blend of the others fails to predict what is there [default: false].
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL", help_heading = "Placement")]
     adaptive: Option<bool>,
@@ -192,13 +196,32 @@ pub struct Bake {
     /// How progress is shown on stderr [default: auto].
     #[arg(long, value_name = "STYLE", help_heading = "Running")]
     progress: Option<ProgressStyle>,
+    /// Keep results in this folder, and take from it what is the same: unchanged probes are not baked again, and of changed
+    /// ones only the tiles that see the change. Bakes share it [default: none].
+    #[arg(long, value_name = "DIR", help_heading = "Running")]
+    cache: Option<PathBuf>,
+    /// Keep nothing, not even what is done of a bake that is interrupted [default: false].
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL", help_heading = "Running")]
+    no_cache: Option<bool>,
+    /// Bake part I of N of the probes; `merge` joins the parts [default: all].
+    #[arg(long, value_name = "I/N", help_heading = "Running")]
+    shard: Option<Shard>,
+    /// Write all inputs to this file, as a rule of Make.
+    #[arg(long, value_name = "FILE", help_heading = "Running")]
+    depfile: Option<PathBuf>,
+    /// Begin no probe after so many seconds; exit code 3 then says that the manifest names probes without images.
+    #[arg(long, value_name = "SECONDS", help_heading = "Running")]
+    time_budget: Option<f64>,
 }
 
 impl Bake {
     pub fn run(self) -> Result<String> {
         let job = self.into_job()?;
         let report = pipeline::bake(&job, &*progress::reporter(job.progress), cancelled_by_signal())?;
-        Ok(format!("{}\n", report.manifest.display()))
+        match report.unfinished_probes {
+            0 => Ok(format!("{}\n", report.manifest.display())),
+            probes => Err(Error::Unfinished { manifest: report.manifest, probes }),
+        }
     }
 
     /// The job file's settings, or the defaults, overridden by the flags.
@@ -226,14 +249,23 @@ impl Bake {
         if self.adaptive == Some(true) {
             job.placement.grid = None;
             job.placement.probes.clear();
+            job.placement.placed = None;
+        }
+        if self.placed.is_some() {
+            job.placement.grid = None;
+            job.placement.probes.clear();
+            job.placement.adaptive = false;
+            job.placement.placed = self.placed;
         }
         if self.grid.is_some() {
             job.placement.probes.clear();
+            job.placement.placed = None;
             job.placement.adaptive = false;
             job.placement.grid = self.grid;
         }
         if !self.probe.is_empty() {
             job.placement.grid = None;
+            job.placement.placed = None;
             job.placement.adaptive = false;
             job.placement.probes = self.probe;
         }
@@ -244,6 +276,10 @@ impl Bake {
         job.placement.bounds = self.bounds.or(job.placement.bounds);
         job.output = self.output.or(job.output);
         job.stats = self.stats.or(job.stats);
+        job.cache = self.cache.or(job.cache);
+        job.shard = self.shard.or(job.shard);
+        job.depfile = self.depfile.or(job.depfile);
+        job.time_budget = self.time_budget.or(job.time_budget);
         job.order = self.order.or(job.order);
 
         set(&mut job.placement.overlap, self.overlap);
@@ -279,6 +315,7 @@ impl Bake {
         set(&mut job.tracer, self.tracer);
         set(&mut job.threads, self.threads);
         set(&mut job.progress, self.progress);
+        set(&mut job.no_cache, self.no_cache);
         Ok(job)
     }
 }
@@ -354,7 +391,8 @@ mod tests {
         let line = "--splats b.ply --splat-frame rub --splat-transform s=2 --splat-encoding lin-scene --crop sphere:-1,2,3,4 \
             --min-opacity 0.25 --lod 2 --mesh c.glb --mesh-transform t=1,2,3 --mesh-scene 1 --variant red --missing-texture magenta --background 1,2,3 -o out --pixel float --distance --stats s.json --outputs mips,latlong-hdr --mips 5 --roughness-curve unity --hdr-encoding rgb9e5 --exposure -1.5 --match-tonemapper pbr-neutral --highlight-expansion 8 --sh-degree 3 --sh-window --calibration \
             --bounds -1,-2,-3,1,2,3 --grid 2,3,4 --overlap 0.5 --face-size 16 --samples 2 --footprint train:800 --order cameraDistance \
-            --sh-direction ray --t-cutoff 0 --t-near 0.5 --surface path --noise 0.5 --max-paths 64 --tracer reference --threads 3 --progress json";
+            --sh-direction ray --t-cutoff 0 --t-near 0.5 --surface path --noise 0.5 --max-paths 64 --tracer reference --threads 3 --progress json \
+            --cache kept --no-cache --shard 2/7 --depfile out.d --time-budget 1.5";
         let line: Vec<&str> = [path.to_str().unwrap()].into_iter().chain(line.split_whitespace()).collect();
         let expected = r#"{
             "splats": [{"path": "b.ply", "frame": "rub", "transform": {"scale": [2, 2, 2]}, "encoding": "lin-scene",
@@ -365,6 +403,7 @@ mod tests {
             "pixel": "float", "distance": true, "outputs": ["mips", "latlong-hdr"], "mips": 5, "roughnessCurve": "unity",
             "hdrEncoding": "rgb9e5", "exposure": -1.5, "matchTonemapper": "pbr-neutral", "highlightExpansion": 8, "shDegree": 3, "shWindow": true, "calibration": true, "faceSize": 16, "samples": 2, "footprint": "train:800", "order": "cameraDistance",
             "shDirection": "ray", "tCutoff": 0, "tNear": 0.5, "surface": "path", "noise": 0.5, "maxPaths": 64, "tracer": "reference",
+            "cache": "kept", "noCache": true, "shard": "2/7", "depfile": "out.d", "timeBudget": 1.5,
             "placement": {"bounds": [-1, -2, -3, 1, 2, 3], "grid": [2, 3, 4], "overlap": 0.5}
         }"#;
         assert_eq!(job(&line).unwrap(), serde_json::from_str(expected).unwrap());
@@ -379,6 +418,8 @@ mod tests {
         let line: Vec<&str> = [path.to_str().unwrap()].into_iter().chain(line.split_whitespace()).collect();
         let expected = r#"{"placement": {"adaptive": true, "levels": [-1.5, 2], "error": 0.25, "maxProbes": 7, "time": 1.5, "heldOut": 3}}"#;
         assert_eq!(job(&line).unwrap(), serde_json::from_str(expected).unwrap());
+        let placed = job(&[path.to_str().unwrap(), "--placed", "plan/manifest.json"]).unwrap().placement;
+        assert_eq!((placed.placed, placed.grid), (Some("plan/manifest.json".into()), None));
         assert!(!job(&["--adaptive=false", "--probe", "0,0,0"]).unwrap().placement.adaptive);
         let both = job(&["--splats", "a.ply", "-o", "out", "--adaptive", "--probe", "0,0,0"]).unwrap();
         assert!(both.validate().unwrap_err().to_string().contains("only one of"));

@@ -1,9 +1,11 @@
 //! The command line: declares flags, maps them to library calls, reports. One file per subcommand.
 
 mod bake;
+mod cache;
 mod compare;
 mod export;
 mod inspect;
+mod merge;
 mod place;
 mod preview;
 mod progress;
@@ -17,7 +19,8 @@ use splatprobe::Result;
 
 /// Bakes HDR reflection probes from 3D Gaussian splat scenes and the glTF meshes placed in them.
 ///
-/// Status goes to stderr, data to stdout. Exit codes: 0 done, 1 the bake failed, 2 the request or an input is wrong.
+/// Status goes to stderr, data to stdout. Exit codes: 0 done, 1 the bake failed, 2 the request or an input is wrong, 3 the
+/// time budget was over before all probes were baked.
 #[derive(Debug, Parser)]
 #[command(version)]
 pub struct Cli {
@@ -29,6 +32,8 @@ pub struct Cli {
 enum Command {
     Bake(Box<bake::Bake>),
     Place(Box<place::Place>),
+    Merge(merge::Merge),
+    Cache(cache::Cache),
     Inspect(inspect::Inspect),
     Verify(verify::Verify),
     Compare(compare::Compare),
@@ -43,6 +48,8 @@ impl Cli {
         match self.command {
             Command::Bake(command) => command.run(),
             Command::Place(command) => command.run(),
+            Command::Merge(command) => command.run(),
+            Command::Cache(command) => command.run(),
             Command::Inspect(command) => command.run(),
             Command::Verify(command) => command.run(),
             Command::Compare(command) => command.run(),

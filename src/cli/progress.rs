@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle as BarStyle};
 use serde_json::json;
-use splatprobe::bake::{Progress, Silent};
+use splatprobe::bake::{Progress, ProgressEvent, ProgressState, Silent};
 use splatprobe::job::ProgressStyle;
 
 /// Lines and events come at most this often; a bake of many small probes would drown the log.
@@ -42,116 +42,103 @@ impl Progress for Bar {
     fn finish(&self) {
         self.0.finish_and_clear();
     }
+
+    fn warn(&self, message: &str) {
+        self.0.suspend(|| super::status(format_args!("warning: {message}")));
+    }
 }
 
 /// A line when the bake begins, every [`INTERVAL`] and when it ends, made by `format`.
 struct Lines {
-    format: fn(Event, &Meter) -> String,
+    format: fn(&ProgressEvent) -> String,
     meter: Mutex<Meter>,
 }
 
-#[derive(Clone, Copy, PartialEq)]
-enum Event {
-    Begin,
-    Progress,
-    Finish,
-}
-
 /// How far a bake is.
-#[derive(Clone, Copy)]
 struct Meter {
-    probes: usize,
-    rays: u64,
-    probes_done: usize,
-    rays_done: u64,
+    state: ProgressState,
     begun: Instant,
     reported: Instant,
 }
 
 impl Lines {
-    fn new(format: fn(Event, &Meter) -> String) -> Self {
+    fn new(format: fn(&ProgressEvent) -> String) -> Self {
         let now = Instant::now();
-        let meter = Meter { probes: 0, rays: 0, probes_done: 0, rays_done: 0, begun: now, reported: now };
-        Self { format, meter: Mutex::new(meter) }
+        let state = ProgressState { probes: 0, probes_done: 0, rays: 0, rays_done: 0, seconds: 0.0 };
+        Self { format, meter: Mutex::new(Meter { state, begun: now, reported: now }) }
     }
 
-    fn update(&self, event: Event, change: impl FnOnce(&mut Meter)) {
+    fn update(&self, event: fn(ProgressState) -> ProgressEvent, is_due: bool, change: impl FnOnce(&mut Meter)) {
         // A thread that panicked while it held the meter left whole numbers behind.
         let mut meter = self.meter.lock().unwrap_or_else(PoisonError::into_inner);
         change(&mut meter);
-        if event != Event::Progress || meter.reported.elapsed() >= INTERVAL {
+        if is_due || meter.reported.elapsed() >= INTERVAL {
             meter.reported = Instant::now();
-            super::status((self.format)(event, &meter));
+            let seconds = meter.begun.elapsed().as_secs_f64();
+            super::status((self.format)(&event(ProgressState { seconds, ..meter.state })));
         }
     }
 }
 
 impl Progress for Lines {
     fn begin(&self, probes: usize, rays: u64) {
-        self.update(Event::Begin, |meter| (meter.probes, meter.rays, meter.begun) = (probes, rays, Instant::now()));
+        self.update(ProgressEvent::Begin, true, |meter| {
+            (meter.state.probes, meter.state.rays, meter.begun) = (probes, rays, Instant::now());
+        });
     }
 
     fn advance(&self, rays: u64) {
-        self.update(Event::Progress, |meter| meter.rays_done += rays);
+        self.update(ProgressEvent::Progress, false, |meter| meter.state.rays_done += rays);
     }
 
     fn probe_done(&self, _index: usize) {
-        self.update(Event::Progress, |meter| meter.probes_done += 1);
+        self.update(ProgressEvent::Progress, false, |meter| meter.state.probes_done += 1);
     }
 
     fn finish(&self) {
-        self.update(Event::Finish, |_| ());
+        self.update(ProgressEvent::Finish, true, |_| ());
+    }
+
+    fn warn(&self, message: &str) {
+        super::status((self.format)(&ProgressEvent::Warning { message: message.into() }));
     }
 }
 
-fn plain(event: Event, meter: &Meter) -> String {
-    let Meter { probes, rays, probes_done, rays_done, begun, .. } = *meter;
-    let seconds = begun.elapsed().as_secs_f64();
+fn plain(event: &ProgressEvent) -> String {
     match event {
-        Event::Begin => format!("{probes} probes, {rays} rays"),
-        Event::Progress | Event::Finish => format!(
-            "{probes_done} of {probes} probes, {:.1} % of rays, {:.2} Mrays/s, {seconds:.1} s",
-            100.0 * rays_done as f64 / rays.max(1) as f64,
-            rays_done as f64 / 1e6 / seconds.max(1e-9)
-        ),
+        ProgressEvent::Begin(ProgressState { probes, rays, .. }) => format!("{probes} probes, {rays} rays"),
+        ProgressEvent::Progress(state) | ProgressEvent::Finish(state) => {
+            let ProgressState { probes, probes_done, rays, rays_done, seconds } = *state;
+            format!(
+                "{probes_done} of {probes} probes, {:.1} % of rays, {:.2} Mrays/s, {seconds:.1} s",
+                100.0 * rays_done as f64 / rays.max(1) as f64,
+                rays_done as f64 / 1e6 / seconds.max(1e-9)
+            )
+        }
+        ProgressEvent::Warning { message } => format!("warning: {message}"),
     }
 }
 
-fn json(event: Event, meter: &Meter) -> String {
-    let event = match event {
-        Event::Begin => "begin",
-        Event::Progress => "progress",
-        Event::Finish => "finish",
-    };
-    json!({
-        "event": event,
-        "probes": meter.probes,
-        "probesDone": meter.probes_done,
-        "rays": meter.rays,
-        "raysDone": meter.rays_done,
-        "seconds": meter.begun.elapsed().as_secs_f64(),
-    })
-    .to_string()
+fn json(event: &ProgressEvent) -> String {
+    json!(event).to_string()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn half_done() -> Meter {
-        let now = Instant::now();
-        Meter { probes: 4, rays: 200, probes_done: 1, rays_done: 100, begun: now, reported: now }
-    }
+    const HALF_DONE: ProgressState =
+        ProgressState { probes: 4, probes_done: 1, rays: 200, rays_done: 100, seconds: 2.0 };
 
     #[test]
     fn a_plain_line_says_how_much_is_done() {
-        let line = plain(Event::Progress, &half_done());
+        let line = plain(&ProgressEvent::Progress(HALF_DONE));
         assert!(line.starts_with("1 of 4 probes, 50.0 % of rays, "), "{line}");
     }
 
     #[test]
     fn an_event_is_one_line_of_json() {
-        let line = json(Event::Finish, &half_done());
+        let line = json(&ProgressEvent::Finish(HALF_DONE));
         assert!(!line.contains('\n'));
         let event: serde_json::Value = serde_json::from_str(&line).unwrap();
         assert_eq!((&event["event"], &event["raysDone"], &event["probes"]), (&json!("finish"), &json!(100), &json!(4)));

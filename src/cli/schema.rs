@@ -2,10 +2,11 @@
 
 use clap::{Args, ValueEnum};
 use splatprobe::Result;
+use splatprobe::bake::ProgressEvent;
 use splatprobe::job::Job;
 use splatprobe::manifest::Manifest;
 
-/// Print the JSON Schema of the job file or of the manifest.
+/// Print the JSON Schema of the job file, of the manifest, or of the events of a bake.
 #[derive(Debug, Args)]
 pub struct Schema {
     /// Which one.
@@ -18,6 +19,8 @@ enum Document {
     Job,
     /// The `manifest.json` that `bake` writes.
     Manifest,
+    /// A line of `bake --progress json`.
+    Progress,
 }
 
 impl Schema {
@@ -25,6 +28,7 @@ impl Schema {
         let schema = match self.of {
             Document::Job => schemars::schema_for!(Job),
             Document::Manifest => schemars::schema_for!(Manifest),
+            Document::Progress => schemars::schema_for!(ProgressEvent),
         };
         Ok(super::json(schema.as_value()))
     }

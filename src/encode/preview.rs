@@ -8,6 +8,7 @@
 //!      -Y
 //! ```
 
+use std::io::Write;
 use std::path::Path;
 
 use glam::Vec3;
@@ -71,17 +72,38 @@ impl ContactSheet {
         Self { image, columns, face_size }
     }
 
-    /// Draws the cubemap of the probe with this index. The order of calls does not matter.
+    /// Draws the [`thumbnail`] of the probe with this index. The order of calls does not matter.
     pub fn draw(&mut self, index: u32, cubemap: &Cubemap) {
         let cell = [index % self.columns, index / self.columns];
         let corner = [0, 1].map(|axis| cell[axis] * CROSS[axis] * self.face_size);
         draw_cross(&mut self.image, corner, self.face_size, cubemap);
     }
 
+    /// Adds what is drawn on `other` to `sheet`; false if they are not of one size. What is not drawn is transparent.
+    pub fn overlay(sheet: &mut RgbaImage, other: &RgbaImage) -> bool {
+        if sheet.dimensions() != other.dimensions() {
+            return false;
+        }
+        for (pixel, drawn) in sheet.pixels_mut().zip(other.pixels()) {
+            if drawn.0[3] > 0 {
+                *pixel = *drawn;
+            }
+        }
+        true
+    }
+
     /// The sheet as drawn so far.
     pub fn image(&self) -> &RgbaImage {
         &self.image
     }
+}
+
+/// A cubemap with faces as large as on a contact sheet of few probes.
+pub fn thumbnail(cubemap: &Cubemap) -> Cubemap {
+    let (from, to) = (cubemap.face_size, cubemap.face_size.min(SHEET_FACE_SIZE));
+    let faces = Face::ALL.into_iter().flat_map(|face| (0..to * to).map(move |i| (face, i % to, i / to)));
+    let texel = |(face, x, y)| mean_of_block(cubemap.face(face), from, to, x, y).extend(1.0).to_array();
+    Cubemap { face_size: to, texels: faces.map(texel).collect(), distance: None }
 }
 
 /// Draws a cross with its top left at `corner`. `face_size` is at most the cubemap's.
@@ -111,13 +133,18 @@ fn display_byte(linear: f32) -> u8 {
 
 /// Writes a PNG; the same image gives the same bytes. Fails with [`crate::Error::Write`].
 pub fn write_png(path: &Path, image: &RgbaImage) -> Result<()> {
-    write_bytes_atomically(path, |writer| {
-        let encoder = PngEncoder::new_with_quality(writer, CompressionType::Default, FilterType::Adaptive);
-        image.write_with_encoder(encoder).map_err(|error| match error {
-            ImageError::IoError(source) => source,
-            other => std::io::Error::other(other),
-        })
-    })
+    write_bytes_atomically(path, |writer| writer.write_all(&png_bytes(image)?))
+}
+
+/// The bytes of a PNG.
+pub fn png_bytes(image: &RgbaImage) -> std::io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let encoder = PngEncoder::new_with_quality(&mut bytes, CompressionType::Default, FilterType::Adaptive);
+    image.write_with_encoder(encoder).map_err(|error| match error {
+        ImageError::IoError(source) => source,
+        other => std::io::Error::other(other),
+    })?;
+    Ok(bytes)
 }
 
 #[cfg(test)]

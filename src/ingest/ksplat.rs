@@ -59,6 +59,7 @@ pub(super) fn open(path: &Path, bytes: Mmap) -> Result<SplatFile> {
         encoding: SplatEncoding::SrgbDisplay,
         order: None,
         parts,
+        files: Vec::new(),
     })
 }
 

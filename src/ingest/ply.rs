@@ -36,7 +36,14 @@ pub(super) fn open(path: &Path, bytes: Mmap) -> Result<SplatFile> {
     } else {
         (format!("PLY {}", header.encoding.name()), SplatPart::whole(Ply::new(path, bytes, &header)?))
     };
-    Ok(SplatFile { format, frame: Frame::RDF, encoding: SplatEncoding::SrgbDisplay, order: None, parts })
+    Ok(SplatFile {
+        format,
+        frame: Frame::RDF,
+        encoding: SplatEncoding::SrgbDisplay,
+        order: None,
+        parts,
+        files: Vec::new(),
+    })
 }
 
 /// An opened PLY file whose header and size hold what a splat file must.

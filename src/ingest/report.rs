@@ -21,6 +21,9 @@ use crate::scene::{SplatEncoding, Splats};
 pub struct SplatReport {
     /// The file, as the request names it.
     pub path: PathBuf,
+    /// All files that were read for it.
+    #[serde(skip)]
+    pub files: Vec<PathBuf>,
     /// Format and variant.
     pub format: String,
     /// Gaussians in the file.

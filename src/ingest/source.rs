@@ -1,6 +1,7 @@
 //! What every splat format's reader gives: an opened file whose Gaussians decode chunk by chunk, on any thread.
 
 use std::fmt;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use glam::DAffine3;
@@ -23,6 +24,8 @@ pub(super) struct SplatFile {
     pub order: Option<Order>,
     /// One, unless the format places several sets of Gaussians in one file.
     pub parts: Vec<SplatPart>,
+    /// Files beside this one that were read.
+    pub files: Vec<PathBuf>,
 }
 
 /// Gaussians that share a transform.

@@ -49,6 +49,7 @@ pub(super) fn open(path: &Path, bytes: Mmap) -> Result<SplatFile> {
         encoding: SplatEncoding::SrgbDisplay,
         order: None,
         parts: SplatPart::whole(Splat { bytes }),
+        files: Vec::new(),
     })
 }
 

@@ -7,7 +7,7 @@ use super::report::{SplatReport, Statistics};
 use super::requests::SplatRequest;
 use super::sanitize::{self, Selection, WorldFromFile};
 use super::source::{SplatFile, SplatPart};
-use super::{CHUNK, open, origin_for};
+use super::{CHUNK, index_file, open, origin_for};
 use crate::error::{Error, Result};
 use crate::job::Frame;
 use crate::scene::bounds::robust_bounds;
@@ -95,6 +95,7 @@ pub(super) fn load(requests: &[SplatRequest]) -> Result<LoadedSplats> {
         };
         reports.push(SplatReport {
             path: opened.request.input.path.clone(),
+            files: [vec![index_file(&opened.request.input.path)], opened.file.files.clone()].concat(),
             format: opened.file.format.clone(),
             count: opened.file.count() as u64,
             kept,

@@ -22,7 +22,8 @@ impl Job {
             Background::Map(path) => Some(path),
             Background::Colour(_) => None,
         };
-        for path in inputs.chain(background).chain(&mut job.output).chain(&mut job.stats) {
+        let outputs = [&mut job.output, &mut job.stats, &mut job.cache, &mut job.depfile, &mut job.placement.placed];
+        for path in inputs.chain(background).chain(outputs.into_iter().flatten()) {
             resolve(folder, path);
         }
         Ok(job)

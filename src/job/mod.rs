@@ -8,6 +8,7 @@ mod file;
 mod footprint;
 mod inputs;
 mod outputs;
+mod shard;
 mod validate;
 
 use std::path::PathBuf;
@@ -20,6 +21,7 @@ pub use crop::Crop;
 pub use footprint::Footprint;
 pub use inputs::{Frame, MeshInput, MissingTexture, SplatInput, Transform, parse_numbers};
 pub use outputs::{HdrEncoding, OutputKind, RoughnessCurve, Tonemapper};
+pub use shard::Shard;
 pub use validate::{MAX_FACE_SIZE, MAX_MIPS, MAX_PATHS, MAX_PROBES, MAX_SAMPLES};
 
 /// In which order contributions along a ray are blended (OpenUSD's and KHR_gaussian_splatting's terms).
@@ -119,6 +121,10 @@ pub struct Placement {
     /// Probe positions in metres, world space, instead of a grid. Default: none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub probes: Vec<[f64; 3]>,
+    /// A manifest, of `place` or of a bake, whose probes are baked, as `place` put them; a relative path is relative to the
+    /// job file. Default: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub placed: Option<PathBuf>,
     /// Fraction, 0 to 1, of the spacing by which neighbouring influence boxes overlap. Default: 0.1.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub overlap: f64,
@@ -152,6 +158,7 @@ impl Default for Placement {
             bounds: None,
             grid: None,
             probes: Vec::new(),
+            placed: None,
             overlap: 0.1,
             adaptive: false,
             levels: Vec::new(),
@@ -263,6 +270,26 @@ pub struct Job {
     /// Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stats: Option<PathBuf>,
+    /// Folder in which results are kept under the hash of all that they depend on; bakes share it. A relative path is
+    /// relative to the job file. Default: none; what is done of a bake is kept in its output folder until all of it is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cache: Option<PathBuf>,
+    /// Whether nothing is kept, not even what is done of a bake that is interrupted. Default: false.
+    #[serde(skip_serializing_if = "is_default")]
+    pub no_cache: bool,
+    /// The part of the probes that is baked, as `I/N`: probe number k, from 0 on, is in part k mod N + 1. `merge` joins the
+    /// parts. Default: all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub shard: Option<Shard>,
+    /// File that all inputs are written to as a rule of Make, for Make and Ninja; a relative path is relative to the job
+    /// file. Default: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub depfile: Option<PathBuf>,
+    /// Seconds after which no further probe is begun; what is done is then written, and the manifest names the rest.
+    /// Default: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub time_budget: Option<f64>,
 }
 
 impl Default for Job {
@@ -300,6 +327,11 @@ impl Default for Job {
             threads: 0,
             progress: ProgressStyle::default(),
             stats: None,
+            cache: None,
+            no_cache: false,
+            shard: None,
+            depfile: None,
+            time_budget: None,
         }
     }
 }
@@ -309,11 +341,26 @@ fn is_default<T: Default + PartialEq>(value: &T) -> bool {
 }
 
 impl Job {
+    /// Placement, as far as it decides the result.
+    pub fn placement_settings(&self) -> Placement {
+        self.result_settings().placement
+    }
+
     /// The part that decides the bytes of the result: no output folder, no threads, no reporting, and of each input's
     /// path only the file name, so that a bake's manifest does not depend on where or how it was run.
     pub fn result_settings(&self) -> Self {
-        let mut job =
-            Self { output: None, threads: 0, progress: ProgressStyle::default(), stats: None, ..self.clone() };
+        let mut job = Self {
+            output: None,
+            threads: 0,
+            progress: ProgressStyle::default(),
+            stats: None,
+            cache: None,
+            no_cache: false,
+            shard: None,
+            depfile: None,
+            time_budget: None,
+            ..self.clone()
+        };
         let paths = job
             .splats
             .iter_mut()
@@ -322,7 +369,8 @@ impl Job {
             .chain(match &mut job.background {
                 Background::Map(path) => Some(path),
                 Background::Colour(_) => None,
-            });
+            })
+            .chain(&mut job.placement.placed);
         for path in paths {
             *path = path.file_name().unwrap_or_default().into();
         }

@@ -34,7 +34,7 @@ const MAX_COORDINATE: f64 = 1e9;
 /// Most heights of probes that can be asked for.
 const MAX_LEVELS: usize = 64;
 
-/// Longest time for a placement, in seconds: a month.
+/// Longest time that can be asked for, in seconds: a month.
 const MAX_TIME: f64 = 2.6e6;
 
 /// Most positions that a placement's error is measured at; each costs as much as a place for a probe.
@@ -86,6 +86,12 @@ impl Job {
         require(self.threads <= MAX_THREADS, "--threads", || {
             format!("{} is more than {MAX_THREADS}; 0 is one per core", self.threads)
         })?;
+        require(self.cache.as_ref().is_none_or(|folder| !folder.as_os_str().is_empty()), "--cache", || {
+            "the path is empty".into()
+        })?;
+        require(self.time_budget.is_none_or(|time| time > 0.0 && time <= MAX_TIME), "--time-budget", || {
+            format!("{:?} is not a time in seconds above 0, at most {MAX_TIME}", self.time_budget)
+        })?;
         require(self.ray_count() <= MAX_RAYS, "--face-size", || {
             format!(
                 "{} probes x 6 faces x {2} x {2} pixels x {3} x {3} samples are {1} rays, more than {MAX_RAYS}: \
@@ -128,11 +134,21 @@ impl Job {
 
 impl Placement {
     fn validate(&self) -> Result<()> {
-        let kinds = [self.grid.is_some(), !self.probes.is_empty(), self.adaptive];
+        let kinds = [self.grid.is_some(), !self.probes.is_empty(), self.placed.is_some(), self.adaptive];
         match kinds.into_iter().filter(|given| *given).count() {
-            0 => return Err(Error::request("--grid", "no probes: give --grid, --probe positions or --adaptive")),
+            0 => {
+                return Err(Error::request(
+                    "--grid",
+                    "no probes: give --grid, --probe positions, --placed or --adaptive",
+                ));
+            }
             1 => {}
-            _ => return Err(Error::request("--grid", "give only one of a grid, --probe positions and --adaptive")),
+            _ => {
+                return Err(Error::request(
+                    "--grid",
+                    "give only one of a grid, --probe positions, --placed and --adaptive",
+                ));
+            }
         }
         if let Some(grid) = self.grid {
             require(!grid.contains(&0), "--grid", || format!("{grid:?} needs at least 1 probe along each axis"))?;

@@ -15,7 +15,7 @@ use crate::{Error, Result};
 
 pub use model::{
     Colour, DisplayTransform, FileFormat, FileRecord, FileRole, Frame, Influence, InputRecord, Layout, Manifest,
-    MipRecord, PixelFormat, ProbeRecord, ShRecord, TexelSampling, WindowedSh, path_in,
+    MipRecord, PixelFormat, ProbeRecord, ShRecord, ShardRecord, TexelSampling, WindowedSh, path_in,
 };
 pub use verify::verify;
 

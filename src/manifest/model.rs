@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::FORMAT_VERSION;
 use crate::bake::ProbeStatistics;
-use crate::job::{Job, Pixel, Tonemapper};
+use crate::job::{Job, Pixel, Shard, Tonemapper};
 use crate::place::Network;
 use crate::place::adaptive::PlacementRecord;
 use crate::scene::SplatEncoding;
@@ -35,6 +35,25 @@ pub struct Manifest {
     /// by triangles use the influence boxes.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub placement: Option<PlacementRecord>,
+    /// Which part of a bake this is, where it is not all of it.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub shard: Option<ShardRecord>,
+    /// Ids of the probes that are missing because the time for the bake was over; the same bake goes on with them.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub unfinished: Vec<String>,
+}
+
+/// A part of a bake.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, rename_all = "camelCase")]
+pub struct ShardRecord {
+    /// Which part, and of how many.
+    pub part: Shard,
+    /// Ids of all probes of the bake, in order.
+    pub probes: Vec<String>,
+    /// What the whole bake says of its placement: its triangles mean probes of all parts.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub placement: Option<PlacementRecord>,
 }
 
 impl Manifest {
@@ -49,6 +68,8 @@ impl Manifest {
             settings: job.result_settings(),
             probes,
             placement: None,
+            shard: None,
+            unfinished: Vec::new(),
         }
     }
 

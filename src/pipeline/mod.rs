@@ -1,36 +1,41 @@
 //! The whole bake, top to bottom.
 
 mod background;
+mod depfile;
 mod files;
+mod inputs;
+mod memory;
+mod merge;
 mod output;
 mod placement;
+mod plan;
+mod tracing;
+mod workspace;
 
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
+use std::time::{Duration, Instant, SystemTime};
 
-use glam::DVec3;
+use rayon::prelude::*;
 use serde::Serialize;
 
+use self::inputs::{Content, Inputs};
+use self::memory::Memory;
 use self::output::Output;
-use self::placement::place_probes;
-use crate::bake::{self, BakeSettings, Calibration, ProbeStatistics, Progress, Silent};
-use crate::bvh::Bvh;
-use crate::ingest::{self, SceneReport};
-use crate::job::{Background, Job, Order, OutputKind, Surface, Tracer};
-use crate::manifest::{self, InputRecord, Manifest};
+use self::plan::{Loaded, Plan};
+use self::tracing::{Done, Tracing};
+use self::workspace::Workspace;
+use crate::bake::{Progress, Silent};
+use crate::cache::Digests;
+use crate::ingest::SceneReport;
+use crate::job::{Job, Order};
+use crate::manifest::{self, Manifest, ShardRecord};
 use crate::place::adaptive::PlacementSeconds;
-use crate::place::free_space::Space;
-use crate::place::{Sight, signal};
-use crate::scene::Scene;
-use crate::shade::{LocallyLitSurfaces, PathSettings, PathSurfaces, UnlitSurfaces, local, shadows};
-use crate::trace::footprint;
-use crate::trace::ray::RayScratch;
-use crate::trace::{
-    BeamTracer, CounterReport, Counters, Footprint, RayTracer, ReferenceTracer, Surfaces, TileTracer, TraceSettings,
-};
+use crate::place::signal;
+use crate::trace::{CounterReport, Footprint, TraceSettings};
 use crate::{Error, Result};
+
+pub use merge::merge;
 
 pub use output::PREVIEW_FILE;
 
@@ -42,8 +47,12 @@ pub struct BakeReport {
     pub manifest: PathBuf,
     /// What was found in the inputs and what was skipped.
     pub scene: SceneReport,
-    /// Probes baked.
+    /// Probes of the bake, or of its part.
     pub probes: usize,
+    /// Of those, probes whose files were known from an earlier bake.
+    pub kept_probes: usize,
+    /// Probes that are missing because the time was over.
+    pub unfinished_probes: usize,
     /// Rays traced.
     pub rays: u64,
     /// Channel values that half floats cannot hold and that were clamped to 65504.
@@ -76,10 +85,12 @@ pub struct Seconds {
 /// folder, and the report to its `stats` file where it names one.
 ///
 /// Output is made in a folder beside its final place and moved there when all of it is done, the manifest last. On an
-/// error, and when `cancel` is set, earlier output is untouched.
+/// error, and when `cancel` is set, earlier output is untouched. What is done of a bake that ends early is kept, and the
+/// next one goes on from there, with the same result; with a cache, also what other bakes found out is used.
 ///
-/// Fails with [`Error::Request`] when the job is wrong, the errors of [`ingest::load_scene`], [`Error::Write`], and
-/// [`Error::Cancelled`].
+/// Fails with [`Error::Request`] when the job is wrong, the errors of [`load_scene`](crate::ingest::load_scene),
+/// [`Error::Changed`] when an input changes meanwhile, [`Error::Busy`] while another process bakes to the folder,
+/// [`Error::Write`], and [`Error::Cancelled`].
 pub fn bake(job: &Job, progress: &dyn Progress, cancel: &AtomicBool) -> Result<BakeReport> {
     on_its_threads(job, || run(job, job, progress, cancel))
 }
@@ -103,105 +114,72 @@ fn on_its_threads(job: &Job, run: impl FnOnce() -> Result<BakeReport> + Send) ->
 /// Places what `asked` says and bakes it as `job` says; the manifest echoes `asked`.
 fn run(asked: &Job, job: &Job, progress: &dyn Progress, cancel: &AtomicBool) -> Result<BakeReport> {
     let begun = Instant::now();
-    let (mut scene, scene_report) = ingest::load_scene(&job.splats, &job.meshes)?;
-    let order = job.order.or(scene_report.order()).unwrap_or_default();
+    let folder = job.output.as_ref().ok_or_else(|| Error::request("-o", "give the folder to write the probes to"))?;
+    let workspace = Workspace::begin(folder)?;
+    let memory = Memory::new(job, &workspace, progress);
+    let digests = Digests::new(memory.store());
+    let inputs = Inputs::new(job, &digests)?;
+    let (plan, content, mut loaded) = plan(job, &inputs, &memory, &digests, cancel)?;
+    let planned = Instant::now();
+
     // As resolved, so that the manifest says what was done.
-    let [asked, job] = [asked, job].map(|job| Job { order: Some(order), ..job.clone() });
-    let job = &job;
-    background::set(&mut scene, &job.background)?;
-    let mut inputs = input_records(&scene_report)?;
-    if let Background::Map(path) = &job.background {
-        let (bytes, blake3) = manifest::digest(path)?;
-        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        inputs.push(InputRecord { path: name, bytes, blake3, report: serde_json::json!({ "kind": "background" }) });
-    }
-    let loaded = Instant::now();
-    let bvh = Bvh::build(&mut scene);
-    if job.mesh_shadows {
-        shadows::darken(&mut scene, &bvh, trace_settings(job, order, job.face_size * job.samples));
-    }
-    let built = Instant::now();
-
-    let ray_angle = footprint::ray_angle(job.face_size * job.samples);
-    let unlit = UnlitSurfaces::new(&scene.meshes).for_rays_of(ray_angle);
-    // Probes stand where the scene itself changes; light on its meshes comes after.
-    let rules = trace_settings(job, order, signal::FACE_SIZE);
-    let sight = Sight {
-        // What stands between two points does so whatever the order of blending.
-        space: Space {
-            tracer: RayTracer {
-                scene: &scene,
-                bvh: &bvh,
-                surfaces: &unlit,
-                settings: TraceSettings { order: Order::RayHitDistance, ..rules },
-            },
-        },
-        tiles: &BeamTracer::new(&scene, &bvh, &unlit, rules),
+    let [asked, job] = [asked, job].map(|job| Job { order: Some(plan.order), ..job.clone() });
+    let mut output = Output::begin(&job, &workspace, plan.probes.len());
+    plan.pictures.iter().try_for_each(|(name, picture)| output.write_beside(name, picture))?;
+    let tracing = Tracing {
+        job: &job,
+        plan: &plan,
+        content: &content,
+        memory: &memory,
+        digests: &digests,
+        output: &output,
+        progress,
+        cancel,
+        deadline: job.time_budget.map(|seconds| begun + Duration::from_secs_f64(seconds)),
     };
-    let placed = place_probes(&job.placement, scene_report.robust_bounds(), &sight, cancel)?;
-    let probes = &placed.probes;
-    let placed_at = Instant::now();
-
-    let rules = trace_settings(job, order, job.face_size * job.samples);
-    let origins: Vec<DVec3> = probes.iter().map(|probe| probe.position - scene.origin).collect();
-    let lit = (job.surface == Surface::Path).then(|| {
-        let settings = PathSettings { noise: job.noise, max_paths: job.max_paths, ..PathSettings::default() };
-        PathSurfaces::new(&scene, &bvh, rules, settings, &origins).for_rays_of(ray_angle)
-    });
-    let locally_lit = (job.surface == Surface::Probe)
-        .then(|| LocallyLitSurfaces::new(&scene, &bvh, trace_settings(job, order, local::FACE_SIZE)))
-        .transpose()?
-        .map(|surfaces| surfaces.for_rays_of(ray_angle));
-    let surfaces: &dyn Surfaces = match (&lit, &locally_lit) {
-        (Some(lit), _) => lit,
-        (_, Some(lit)) => lit,
-        _ => &unlit,
+    let chosen: Vec<usize> = (0..plan.probes.len()).filter(|&i| job.shard.is_none_or(|part| part.holds(i))).collect();
+    let is_known = |number: &usize| match memory.get(&tracing.key(&plan.probes[*number])) {
+        Some(bundle) => output.restore(*number, &bundle),
+        None => Ok(false),
     };
-    let counters = (job.stats.is_some() && job.tracer == Tracer::Beam).then(|| Counters::new(scene.splats.len()));
-    let tracer = tracer(job, rules, &scene, &bvh, surfaces, counters.as_ref());
-    let mut output = Output::begin(job, probes.len())?;
-    placed.picture.iter().try_for_each(|picture| output.write_plan(picture))?;
-    let (face_size, samples) = (job.face_size, job.samples);
-    let distance = job.distance || job.outputs.contains(&OutputKind::Moments);
-    let settings = BakeSettings { face_size, samples, distance, edge_texels: false };
-    bake::bake_probes(&*tracer, &scene, probes, &settings, progress, cancel, |index, cubemap, statistics| {
-        scene.meshes.check_textures()?;
-        let surface_noise = lit.as_ref().and_then(|lit| lit.noise_of(origins[index]));
-        let hidden_backs = (!scene.meshes.triangles.is_empty())
-            .then(|| sight.space.hidden_backs(probes[index].position, &mut RayScratch::default()));
-        let statistics = ProbeStatistics { hidden_backs, surface_noise, ..statistics };
-        output.write_probe(index, &probes[index], cubemap, statistics)
-    })?;
-    let mut rays_per_probe = settings.rays_per_probe();
-    if job.outputs.contains(&OutputKind::Envmap) {
-        let samples = samples.next_multiple_of(2);
-        let settings = BakeSettings { face_size, samples, distance: false, edge_texels: true };
-        bake::bake_probes(&*tracer, &scene, probes, &settings, progress, cancel, |index, cubemap, _| {
-            output.write_envmap(index, &probes[index], cubemap)
-        })?;
-        rays_per_probe += settings.rays_per_probe();
+    let known: Vec<bool> = chosen.par_iter().map(is_known).collect::<Result<_>>()?;
+    let missing: Vec<usize> = chosen.iter().zip(&known).filter(|(_, known)| !**known).map(|(&i, _)| i).collect();
+    let mut done = Done::default();
+    if missing.is_empty() {
+        progress.begin(0, 0);
+        progress.finish();
+    } else {
+        if loaded.is_none() {
+            loaded = Some(Loaded::read(&job)?);
+            content.check(&digests)?;
+        }
+        if let Some(loaded) = &loaded {
+            done = tracing.run(loaded, &missing)?;
+        }
     }
     if cancel.load(Ordering::Relaxed) {
         return Err(Error::Cancelled);
     }
-    let (count, placement) = (probes.len(), placed.seconds);
-    let published =
-        output.publish(|records| placed.describe(Manifest::new(&asked, scene.encoding, inputs, records)))?;
+    content.check(&digests)?;
+    let unfinished = missing.len() - done.probes;
+    let published = output.publish(|records| manifest_of(&asked, &plan, records))?;
+    workspace.set_resumable(memory.is_journal() && unfinished > 0);
+    if let Some(path) = &job.depfile {
+        depfile::write(path, &published.manifest, content.files())?;
+    }
 
+    let [load, build] = loaded.map_or([0.0; 2], |loaded| loaded.seconds);
+    let (place, placement) = plan.seconds;
     let report = BakeReport {
         manifest: published.manifest,
-        scene: scene_report,
-        probes: count,
-        rays: count as u64 * rays_per_probe,
+        scene: plan.report,
+        probes: chosen.len() - unfinished,
+        kept_probes: chosen.len() - missing.len(),
+        unfinished_probes: unfinished,
+        rays: done.rays,
         clamped_values: published.clamped_values,
-        beam: counters.as_ref().map(Counters::report),
-        seconds: Seconds {
-            load: (loaded - begun).as_secs_f64(),
-            build: (built - loaded).as_secs_f64(),
-            place: (placed_at - built).as_secs_f64(),
-            placement,
-            bake: placed_at.elapsed().as_secs_f64(),
-        },
+        beam: done.counters,
+        seconds: Seconds { load, build, place, placement, bake: planned.elapsed().as_secs_f64() },
     };
     if let Some(path) = &job.stats {
         manifest::write_json(path, &report)?;
@@ -209,22 +187,48 @@ fn run(asked: &Job, job: &Job, progress: &dyn Progress, cancel: &AtomicBool) -> 
     Ok(report)
 }
 
-fn tracer<'a>(
+/// Where the probes of `job` stand, and the scene if it had to be loaded to know that.
+fn plan(
     job: &Job,
-    settings: TraceSettings,
-    scene: &'a Scene,
-    bvh: &'a Bvh,
-    surfaces: &'a dyn Surfaces,
-    counters: Option<&'a Counters>,
-) -> Box<dyn TileTracer + 'a> {
-    if job.calibration {
-        return Box::new(Calibration);
+    inputs: &Inputs,
+    memory: &Memory,
+    digests: &Digests,
+    cancel: &AtomicBool,
+) -> Result<(Plan, Content, Option<Loaded>)> {
+    if let Some(content) = inputs.recall(memory, digests)?
+        && let Some(plan) = Plan::recall(job, &content, memory)
+    {
+        return Ok((plan, content, None));
     }
-    match job.tracer {
-        Tracer::Beam => Box::new(BeamTracer { counters, ..BeamTracer::new(scene, bvh, surfaces, settings) }),
-        Tracer::Ray => Box::new(RayTracer { scene, bvh, surfaces, settings }),
-        Tracer::Reference => Box::new(ReferenceTracer { scene, surfaces, settings }),
+    let begun = SystemTime::now();
+    let loaded = Loaded::read(job)?;
+    let content = inputs.learn(&loaded.report, begun, memory, digests)?;
+    let plan = Plan::make(job, &loaded, &content, memory, cancel)?;
+    Ok((plan, content, Some(loaded)))
+}
+
+/// The manifest of the probes that have `records`.
+fn manifest_of(job: &Job, plan: &Plan, records: Vec<Option<manifest::ProbeRecord>>) -> Manifest {
+    let mut probes = Vec::new();
+    let mut unfinished = Vec::new();
+    for (number, record) in records.into_iter().enumerate() {
+        match record {
+            Some(mut record) => {
+                record.estimated_error = plan.estimated_errors.get(number).copied();
+                probes.push(record);
+            }
+            None if job.shard.is_none_or(|part| part.holds(number)) => unfinished.push(plan.probes[number].id.clone()),
+            None => {}
+        }
     }
+    // Triangles mean probes by number.
+    let placement = if probes.len() == plan.probes.len() { plan.placement.clone() } else { None };
+    let shard = job.shard.map(|part| ShardRecord {
+        part,
+        probes: plan.probes.iter().map(|probe| probe.id.clone()).collect(),
+        placement: plan.placement.clone(),
+    });
+    Manifest { placement, shard, unfinished, ..Manifest::new(job, plan.encoding, plan.inputs.clone(), probes) }
 }
 
 /// The job's settings for faces of `rays` rays along an edge.
@@ -236,25 +240,4 @@ fn trace_settings(job: &Job, order: Order, rays: u32) -> TraceSettings {
         t_near: job.t_near,
         footprint: Footprint::new(job.footprint, rays),
     }
-}
-
-/// Hashes the inputs. Reports name their files by paths of this machine; in the manifest the record's name stands alone.
-fn input_records(scene: &SceneReport) -> Result<Vec<InputRecord>> {
-    let splats = scene.splats.iter().map(|report| (&report.path, serde_json::json!(report)));
-    let meshes = scene.meshes.iter().map(|report| (&report.path, serde_json::json!(report)));
-    let mut digests = BTreeMap::new();
-    splats
-        .chain(meshes)
-        .map(|(path, mut report)| {
-            if let Some(fields) = report.as_object_mut() {
-                fields.remove("path");
-            }
-            let (bytes, blake3) = match digests.get(path) {
-                Some(digest) => Clone::clone(digest),
-                None => digests.entry(path).or_insert(manifest::digest(&ingest::index_file(path))?).clone(),
-            };
-            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            Ok(InputRecord { path: name, bytes, blake3, report })
-        })
-        .collect()
 }

@@ -3,14 +3,16 @@
 use std::collections::BTreeSet;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use bytemuck::cast_slice;
 use glam::Vec3;
 
 use super::files::ProbeFiles;
+use super::workspace::Workspace;
 use crate::bake::{Cubemap, ProbeStatistics};
+use crate::cache::Bundle;
 use crate::encode::file::write_bytes_atomically;
-use crate::encode::plan::PlanPicture;
 use crate::encode::preview::{self, ContactSheet, write_png};
 use crate::encode::tonemap;
 use crate::job::{Job, Tonemapper};
@@ -22,24 +24,25 @@ use crate::{Error, Result};
 /// Name of a probe's picture in its folder, and of the contact sheet of all probes in the output folder.
 pub const PREVIEW_FILE: &str = "preview.png";
 
-/// Names of the plan's pictures in the output folder.
-const PLAN_FILES: [&str; 2] = ["plan.png", "plan.svg"];
-
 /// A bake's files on their way to the output folder.
 pub(super) struct Output<'a> {
     job: &'a Job,
     folder: PathBuf,
-    /// Inside `folder`, so that moving out of it is a rename; removes itself.
-    staging: tempfile::TempDir,
-    written: Mutex<Written>,
+    /// Inside `folder`, so that moving out of it is a rename.
+    staging: PathBuf,
+    /// By number.
+    probes: Mutex<Vec<Option<Written>>>,
+    /// Files in the output folder itself, beside the manifest.
+    beside: Vec<String>,
 }
 
+/// A probe whose files are written.
+#[derive(Clone)]
 struct Written {
-    records: Vec<Option<ProbeRecord>>,
-    preview: ContactSheet,
+    record: ProbeRecord,
+    /// For the contact sheet.
+    thumbnail: Cubemap,
     clamped_values: usize,
-    /// Files in the output folder itself, beside the manifest.
-    beside: Vec<&'static str>,
 }
 
 /// What was moved to its final place.
@@ -51,23 +54,10 @@ pub(super) struct Published {
 }
 
 impl<'a> Output<'a> {
-    /// Makes the job's output folder and room in it for `probes` probes.
-    pub fn begin(job: &'a Job, probes: usize) -> Result<Self> {
-        let folder =
-            job.output.clone().ok_or_else(|| Error::request("-o", "give the folder to write the probes to"))?;
-        let make = || {
-            std::fs::create_dir_all(&folder)?;
-            tempfile::Builder::new().prefix(".splatprobe-").tempdir_in(&folder)
-        };
-        let staging = make().map_err(|source| Error::write(&folder, source))?;
-        let written = Written {
-            records: vec![None; probes],
-            // Validation keeps the number of probes far below 2^32.
-            preview: ContactSheet::new(probes as u32, job.face_size),
-            clamped_values: 0,
-            beside: Vec::new(),
-        };
-        Ok(Self { job, folder, staging, written: Mutex::new(written) })
+    /// Room for `probes` probes.
+    pub fn begin(job: &'a Job, workspace: &Workspace, probes: usize) -> Self {
+        let (folder, staging) = (workspace.output().to_owned(), workspace.staging());
+        Self { job, folder, staging, probes: Mutex::new(vec![None; probes]), beside: Vec::new() }
     }
 
     /// Writes a probe's files and remembers what the manifest will say. Called on many threads at once.
@@ -79,45 +69,92 @@ impl<'a> Output<'a> {
         statistics: ProbeStatistics,
     ) -> Result<()> {
         let mut cubemap = self.exposed(cubemap);
-        let folder = self.staging.path().join(&probe.id);
-        if self.has_images() {
-            std::fs::create_dir(&folder).map_err(|source| Error::write(&folder, source))?;
-        }
+        let folder = self.folder_of(&probe.id)?;
         let mut files = ProbeFiles::new(self.job, &folder, probe);
         let sh = files.write(&mut cubemap)?;
         if self.has_images() {
             write_png(&folder.join(PREVIEW_FILE), &preview::cross(&cubemap))?;
         }
         let ProbeFiles { records, clamped_values, .. } = files;
-        // A panic on another thread ends the bake by itself.
-        if let Ok(mut written) = self.written.lock() {
-            written.records[index] = Some(probe_record(probe, records, sh, statistics));
-            written.preview.draw(index as u32, &cubemap);
-            written.clamped_values += clamped_values;
-        }
+        let record = probe_record(probe, records, sh, statistics);
+        self.probes()[index] = Some(Written { record, thumbnail: preview::thumbnail(&cubemap), clamped_values });
         Ok(())
     }
 
     /// Writes the `envmap` of a probe whose other files are written. Called on many threads at once.
     pub fn write_envmap(&self, index: usize, probe: &Probe, cubemap: Cubemap) -> Result<()> {
-        let folder = self.staging.path().join(&probe.id);
+        let folder = self.staging.join(&probe.id);
         let mut files = ProbeFiles::new(self.job, &folder, probe);
         files.write_envmap(&self.exposed(cubemap))?;
         let ProbeFiles { records, clamped_values, .. } = files;
-        if let Ok(mut written) = self.written.lock() {
-            written.records[index].iter_mut().for_each(|record| record.files.extend_from_slice(&records));
+        if let Some(written) = &mut self.probes()[index] {
+            written.record.files.extend_from_slice(&records);
             written.clamped_values += clamped_values;
         }
         Ok(())
     }
 
-    /// Writes the plan of a placement.
-    pub fn write_plan(&mut self, picture: &PlanPicture) -> Result<()> {
-        let staging = self.staging.path();
-        write_png(&staging.join(PLAN_FILES[0]), &picture.image())?;
-        write_bytes_atomically(&staging.join(PLAN_FILES[1]), |file| file.write_all(picture.svg().as_bytes()))?;
-        self.written.get_mut().unwrap_or_else(PoisonError::into_inner).beside.extend(PLAN_FILES);
+    /// Writes a file beside the manifest.
+    pub fn write_beside(&mut self, name: &str, content: &[u8]) -> Result<()> {
+        write_bytes_atomically(&self.staging.join(name), |file| file.write_all(content))?;
+        self.beside.push(name.into());
         Ok(())
+    }
+
+    /// A probe's files and all that the manifest and the contact sheet need of it; `None` if it is not written.
+    ///
+    /// Fails with [`Error::Read`] where a file is not there any more.
+    pub fn bundle(&self, index: usize) -> Result<Option<Bundle>> {
+        let Some(Written { record, thumbnail, clamped_values }) = self.probes()[index].clone() else { return Ok(None) };
+        let mut bundle = Bundle::default();
+        bundle.add_json("record", &record);
+        bundle.add_json("clampedValues", &clamped_values);
+        bundle.add_json("thumbnailSize", &thumbnail.face_size);
+        bundle.add("thumbnail", cast_slice(&thumbnail.texels).to_vec());
+        for file in files_of(&record) {
+            let path = self.staging.join(&file);
+            bundle.add(file, std::fs::read(&path).map_err(|source| Error::read(path, source))?);
+        }
+        Ok(Some(bundle))
+    }
+
+    /// Writes a probe from its bundle; false where the bundle is not one of this program.
+    pub fn restore(&self, index: usize, bundle: &Bundle) -> Result<bool> {
+        let parts = || {
+            let record: ProbeRecord = bundle.get_json("record")?;
+            let clamped_values = bundle.get_json("clampedValues")?;
+            let face_size: u32 = bundle.get_json("thumbnailSize")?;
+            let texels: Vec<[f32; 4]> =
+                bundle.get("thumbnail")?.chunks_exact(16).map(bytemuck::pod_read_unaligned).collect();
+            let is_whole = texels.len() == 6 * (face_size as usize).pow(2);
+            let thumbnail = Cubemap { face_size, texels, distance: None };
+            is_whole.then_some(Written { record, thumbnail, clamped_values })
+        };
+        let Some(written) = parts() else { return Ok(false) };
+        let files: Option<Vec<(String, &[u8])>> =
+            files_of(&written.record).map(|file| bundle.get(&file).map(|content| (file, content))).collect();
+        let Some(files) = files else { return Ok(false) };
+        self.folder_of(&written.record.id)?;
+        for (file, content) in files {
+            let path = self.staging.join(file);
+            std::fs::write(&path, content).map_err(|source| Error::write(path, source))?;
+        }
+        self.probes()[index] = Some(written);
+        Ok(true)
+    }
+
+    /// The folder of a probe's files; made if it has any.
+    fn folder_of(&self, id: &str) -> Result<PathBuf> {
+        let folder = self.staging.join(id);
+        if self.has_images() {
+            std::fs::create_dir_all(&folder).map_err(|source| Error::write(&folder, source))?;
+        }
+        Ok(folder)
+    }
+
+    /// A panic on another thread ends the bake by itself.
+    fn probes(&self) -> MutexGuard<'_, Vec<Option<Written>>> {
+        self.probes.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn has_images(&self) -> bool {
@@ -136,28 +173,40 @@ impl<'a> Output<'a> {
     }
 
     /// Moves everything to its final place, the manifest last.
-    pub fn publish(self, manifest: impl FnOnce(Vec<ProbeRecord>) -> Manifest) -> Result<Published> {
-        let has_images = self.has_images();
-        let mut written = self.written.into_inner().unwrap_or_else(PoisonError::into_inner);
-        let staging = self.staging.path();
-        if has_images {
-            write_png(&staging.join(PREVIEW_FILE), written.preview.image())?;
-            written.beside.push(PREVIEW_FILE);
+    ///
+    /// `manifest` gets the records of the probes that are written, by number.
+    pub fn publish(mut self, manifest: impl FnOnce(Vec<Option<ProbeRecord>>) -> Manifest) -> Result<Published> {
+        let probes = std::mem::take(&mut *self.probes());
+        if self.has_images() {
+            // Validation keeps the number of probes far below 2^32.
+            let mut sheet = ContactSheet::new(probes.len() as u32, self.job.face_size);
+            for (index, written) in probes.iter().enumerate() {
+                written.iter().for_each(|written| sheet.draw(index as u32, &written.thumbnail));
+            }
+            write_png(&self.staging.join(PREVIEW_FILE), sheet.image())?;
+            self.beside.push(PREVIEW_FILE.into());
         }
-        let manifest = manifest(written.records.into_iter().flatten().collect());
-        // Before anything is moved: a full disk shows here.
-        manifest.write(&staging.join(manifest::FILE_NAME))?;
-        let path = self.folder.join(manifest::FILE_NAME);
-        let earlier = Manifest::read(&path).ok();
-        let beside = written.beside.iter().copied().chain([manifest::FILE_NAME]).map(String::from);
-        for file in probe_files(&manifest).chain(beside) {
-            rename(&staging.join(&file), &self.folder.join(&file))?;
-        }
-        if let Some(earlier) = earlier {
-            remove_outdated(&self.folder, &earlier, &manifest);
-        }
-        Ok(Published { manifest: path, clamped_values: written.clamped_values })
+        let clamped_values = probes.iter().flatten().map(|written| written.clamped_values).sum();
+        let manifest = manifest(probes.into_iter().map(|written| Some(written?.record)).collect());
+        let path = publish(&self.staging, &self.folder, &self.beside, &manifest)?;
+        Ok(Published { manifest: path, clamped_values })
     }
+}
+
+/// Moves the files of `manifest` and those `beside` it from `staging` to `folder`, and the manifest last, whose path it
+/// returns. Then files of an earlier bake that the new one does not have are removed, and nothing else.
+pub(super) fn publish(staging: &Path, folder: &Path, beside: &[String], manifest: &Manifest) -> Result<PathBuf> {
+    // Before anything is moved: a full disk shows here.
+    manifest.write(&staging.join(manifest::FILE_NAME))?;
+    let path = folder.join(manifest::FILE_NAME);
+    let earlier = Manifest::read(&path).ok();
+    for file in probe_files(manifest).chain(beside.iter().cloned()).chain([manifest::FILE_NAME.into()]) {
+        rename(&staging.join(&file), &folder.join(&file))?;
+    }
+    if let Some(earlier) = earlier {
+        remove_outdated(folder, &earlier, manifest);
+    }
+    Ok(path)
 }
 
 /// Removes files of an earlier bake that the new one does not have, and the folders that this leaves empty.
@@ -175,10 +224,13 @@ fn remove_outdated(folder: &Path, earlier: &Manifest, manifest: &Manifest) {
 
 /// Every file in the folders of a bake's probes, relative to the manifest. Probes without images have none.
 fn probe_files(manifest: &Manifest) -> impl Iterator<Item = String> + '_ {
-    manifest.probes.iter().filter(|probe| !probe.files.is_empty()).flat_map(|probe| {
-        let listed = probe.files.iter().map(|file| file.path.clone());
-        listed.chain([format!("{}/{PREVIEW_FILE}", probe.id)])
-    })
+    manifest.probes.iter().flat_map(files_of)
+}
+
+/// Every file in a probe's folder, relative to the manifest.
+pub(super) fn files_of(probe: &ProbeRecord) -> impl Iterator<Item = String> + '_ {
+    let preview = (!probe.files.is_empty()).then(|| format!("{}/{PREVIEW_FILE}", probe.id));
+    probe.files.iter().map(|file| file.path.clone()).chain(preview)
 }
 
 fn rename(from: &Path, to: &Path) -> Result<()> {

@@ -1,5 +1,7 @@
-//! A job's probes: as a grid, from a list, or adaptively.
+//! A job's probes: as a grid, from a list, from a manifest, or adaptively.
 
+use std::collections::BTreeSet;
+use std::path::Path;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
@@ -7,7 +9,7 @@ use glam::DVec3;
 
 use crate::encode::plan::PlanPicture;
 use crate::job::Placement;
-use crate::manifest::Manifest;
+use crate::manifest::{Manifest, ProbeRecord};
 use crate::place::adaptive::{PlacementRecord, PlacementSeconds};
 use crate::place::{self, Adaptive, AdaptiveSettings, Probe, Sight};
 use crate::scene::Bounds;
@@ -18,8 +20,8 @@ use crate::{Error, Result};
 pub(super) struct Placed {
     pub probes: Vec<Probe>,
     /// Per probe; empty unless placed adaptively.
-    estimated_errors: Vec<f64>,
-    record: Option<PlacementRecord>,
+    pub estimated_errors: Vec<f64>,
+    pub record: Option<PlacementRecord>,
     pub picture: Option<PlanPicture>,
     pub seconds: Option<PlacementSeconds>,
 }
@@ -38,6 +40,9 @@ pub(super) fn place_probes(
         let bounds = given.or(scene_bounds);
         bounds.ok_or_else(|| Error::request("--bounds", "the scene is empty: give the box that the probes serve"))
     };
+    if let Some(path) = &placement.placed {
+        return from_manifest(path);
+    }
     let probes = match placement.grid {
         _ if placement.adaptive => return adaptive(placement, bounds()?, sight, cancel),
         Some(grid) => place::grid(bounds()?, grid, placement.overlap)?,
@@ -63,13 +68,35 @@ fn adaptive(placement: &Placement, bounds: Bounds, sight: &Sight, cancel: &Atomi
     Ok(Placed { probes, estimated_errors, record: Some(record), picture: Some(picture), seconds: Some(seconds) })
 }
 
-impl Placed {
-    /// Adds what the manifest says about placement.
-    pub fn describe(self, manifest: Manifest) -> Manifest {
-        let mut manifest = Manifest { placement: self.record, ..manifest };
-        for (probe, error) in manifest.probes.iter_mut().zip(self.estimated_errors) {
-            probe.estimated_error = Some(error);
-        }
-        manifest
+/// The probes of an earlier placement or bake.
+fn from_manifest(path: &Path) -> Result<Placed> {
+    let Manifest { probes, placement, shard, unfinished, .. } = Manifest::read(path)?;
+    if shard.is_some() || !unfinished.is_empty() || probes.is_empty() {
+        return Err(Error::invalid(path, "/probes", "not all probes of a placement: give the manifest of `place`"));
     }
+    let estimated_errors: Vec<f64> = probes.iter().filter_map(|probe| probe.estimated_error).collect();
+    let ids: BTreeSet<&str> = probes.iter().map(|probe| probe.id.as_str()).collect();
+    for (i, probe) in probes.iter().enumerate() {
+        let place = |field: &str| format!("/probes/{i}/{field}");
+        let is_name = probe.id.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_' || byte == b'-');
+        if !is_name || probe.id.is_empty() {
+            let what = format!("'{}' is not a name for a folder: letters, digits, '_' and '-'", probe.id);
+            return Err(Error::invalid(path, place("id"), what));
+        }
+        if probe.position.iter().any(|coordinate| !coordinate.is_finite()) {
+            return Err(Error::invalid(path, place("position"), "it is not finite"));
+        }
+    }
+    if ids.len() != probes.len() || (!estimated_errors.is_empty() && estimated_errors.len() != probes.len()) {
+        return Err(Error::invalid(path, "/probes", "an id is given twice, or some probes have no estimated error"));
+    }
+    let probe = |record: ProbeRecord| Probe {
+        id: record.id,
+        position: record.position.into(),
+        influence: Bounds { min: record.influence.min.into(), max: record.influence.max.into() },
+        proxy: record.proxy,
+        blend: record.influence.blend,
+    };
+    let probes = probes.into_iter().map(probe).collect();
+    Ok(Placed { probes, estimated_errors, record: placement, ..Placed::default() })
 }

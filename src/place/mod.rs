@@ -18,6 +18,7 @@ pub mod survey;
 pub mod triangulation;
 
 use glam::DVec3;
+use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use crate::scene::Bounds;
@@ -29,7 +30,7 @@ pub use list::list;
 pub use survey::{Sight, Survey};
 
 /// A reflection probe: where its cubemap is taken and where it is used.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Probe {
     /// Unique name, sortable because its number is padded with zeros: `probe_003`.
     pub id: String,

@@ -1,5 +1,7 @@
 //! Triangles of all mesh inputs, flattened into world space, with their materials and textures.
 
+use std::ops::Range;
+
 use glam::{Vec2, Vec3, Vec4};
 
 use super::material::Material;
@@ -27,6 +29,8 @@ pub struct Meshes {
     pub materials: Vec<Material>,
     /// Textures of all inputs.
     pub textures: Vec<Texture>,
+    /// Where the triangles of each input end; those behind the last are of none.
+    pub part_ends: Vec<usize>,
 }
 
 /// What a vertex carries beside its position.
@@ -52,6 +56,14 @@ impl Meshes {
         self.triangles[i].map(|v| self.positions[v as usize])
     }
 
+    /// The triangles of each input, in at most `count` ranges: the last one holds what is left. Some may be empty.
+    pub fn parts(&self, count: usize) -> Vec<Range<usize>> {
+        let all = self.triangles.len();
+        let ends = self.part_ends.iter().copied().take(count.saturating_sub(1)).chain([all]);
+        let mut start = 0;
+        ends.map(|end| std::mem::replace(&mut start, end)..end).collect()
+    }
+
     /// The material of triangle `i`.
     pub fn material_of(&self, i: usize) -> &Material {
         &self.materials[self.triangle_materials[i] as usize]
@@ -73,7 +85,8 @@ impl Meshes {
         self.textures.iter().find_map(|texture| texture.image.failure()).map_or(Ok(()), |broken| Err(broken.to_error()))
     }
 
-    /// Puts the triangles in `order`: element k becomes what was element `order[k]`. `order` must be a permutation.
+    /// Puts the triangles in `order`: element k becomes what was element `order[k]`. `order` must be a permutation that
+    /// leaves every triangle in its part.
     pub fn reorder_triangles(&mut self, order: &[u32]) {
         self.triangles = order.iter().map(|&i| self.triangles[i as usize]).collect();
         self.triangle_materials = order.iter().map(|&i| self.triangle_materials[i as usize]).collect();

@@ -10,6 +10,7 @@ pub mod gaussian;
 pub mod level;
 pub mod ray;
 pub mod reference;
+mod sees;
 pub mod triangle;
 
 use glam::{DVec3, Vec2};

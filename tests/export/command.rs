@@ -1,6 +1,6 @@
 //! `splatprobe export` on the command line.
 
-use super::{Baked, cli_support::splatprobe};
+use super::{Baked, cli::splatprobe};
 
 #[test]
 fn the_command_prints_what_it_wrote_and_tells_what_it_changed() {

@@ -4,8 +4,8 @@
 mod agreement;
 mod bad_input;
 mod blender;
-#[path = "../cli_support/mod.rs"]
-mod cli_support;
+#[path = "../common/cli.rs"]
+mod cli;
 mod command;
 mod filament;
 mod gltf;

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 
 use schemars::Schema;
 use serde_json::{Value, json};
+use splatprobe::bake::ProgressEvent;
 use splatprobe::job::Job;
 use splatprobe::manifest::Manifest;
 
@@ -23,6 +24,7 @@ fn check(name: &str, schema: Schema) {
 fn committed_schemas_are_those_of_the_types() {
     check("job.schema.json", schemars::schema_for!(Job));
     check("manifest.schema.json", schemars::schema_for!(Manifest));
+    check("progress.schema.json", schemars::schema_for!(ProgressEvent));
 }
 
 #[test]
@@ -38,7 +40,8 @@ fn a_job_with_every_field_is_valid_by_the_schema_and_a_wrong_one_is_not() {
         "surface": "unlit", "tracer": "ray", "pixel": "half", "distance": true,
         "outputs": ["strip", "ktx2"], "mips": 7, "roughnessCurve": "filament", "hdrEncoding": "rgb9e5", "exposure": -1, "matchTonemapper": "agx", "highlightExpansion": 4,
         "shDegree": 3, "shWindow": true, "calibration": false, "background": [0, 0, 0],
-        "threads": 2, "progress": "plain", "stats": "stats.json"
+        "threads": 2, "progress": "plain", "stats": "stats.json", "cache": "cache", "noCache": false, "shard": "2/7",
+        "depfile": "out.d", "timeBudget": 60
     });
     validator.validate(&job).unwrap();
     serde_json::from_value::<Job>(job.clone()).unwrap().validate().unwrap();
@@ -51,6 +54,7 @@ fn a_job_with_every_field_is_valid_by_the_schema_and_a_wrong_one_is_not() {
         ("background", json!([0, 0, -1])),
         ("tracer", json!("guess")),
         ("splats", json!([{"path": "a.ply", "frame": "right"}])),
+        ("shard", json!("0/x")),
         ("unknown", json!(1)),
     ];
     for (field, value) in wrong {

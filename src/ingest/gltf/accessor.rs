@@ -220,6 +220,7 @@ mod tests {
             materials: Vec::new(),
             splats: Default::default(),
             buffers: vec![buffer.into()],
+            log: Default::default(),
         }
     }
 

@@ -13,6 +13,7 @@ use super::compressed;
 use super::material_json::MaterialJson;
 use super::primitives::SplatPrimitives;
 use super::resource::{self, Bytes};
+use crate::ingest::file_log::FileLog;
 use crate::ingest::map;
 use crate::{Error, Result};
 
@@ -72,6 +73,8 @@ pub struct Asset {
     pub splats: SplatPrimitives,
     /// Content of each buffer, cut to its byteLength.
     pub buffers: Vec<Bytes>,
+    /// Files beside this one that were read.
+    pub log: FileLog,
 }
 
 /// How a node stands in its parent, as written: `matrix` (column by column) or translation, rotation and scale.
@@ -120,7 +123,16 @@ impl Asset {
         let root = Root::deserialize(value).map_err(|e| Error::invalid(path, "JSON", format!("not glTF 2.0: {e}")))?;
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_path_buf();
         let path = path.to_path_buf();
-        let asset = Self { path, folder, root, local_transforms, materials, splats, buffers: Vec::new() };
+        let asset = Self {
+            path,
+            folder,
+            root,
+            local_transforms,
+            materials,
+            splats,
+            buffers: Vec::new(),
+            log: FileLog::default(),
+        };
         let glb_chunk = glb_chunk.map(|chunk| Bytes::new(Arc::new(bytes), chunk));
         Ok((asset, glb_chunk))
     }

@@ -47,6 +47,9 @@ pub(super) use splats::open_splats;
 pub struct MeshReport {
     /// The file.
     pub path: PathBuf,
+    /// That file and all others that were read for it; also those that were looked for and are not there.
+    #[serde(skip)]
+    pub files: Vec<PathBuf>,
     /// Name of the scene that was read, when it has one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scene: Option<String>,
@@ -128,6 +131,7 @@ pub fn load(input: &MeshInput, origin: DVec3, meshes: &mut Meshes, lights: &mut 
     let Loader { materials, dropped, skipped_primitives, dark_lights, .. } = loader;
     Ok(MeshReport {
         path: input.path.clone(),
+        files: [vec![input.path.clone()], asset.log.files()].concat(),
         nodes: hierarchy.order.len(),
         triangles: meshes.triangles.len() - first_triangle,
         dropped_triangles: dropped,

@@ -117,7 +117,9 @@ pub fn read_uri(asset: &Asset, uri: &str, here: &str) -> Result<Vec<u8>> {
     let relative = relative_path(uri).map_err(|why| asset.invalid(here, format!("uri '{uri}' {why}")))?;
     let cannot = |e: std::io::Error| asset.invalid(here, format!("uri '{uri}' cannot be read: {e}"));
     let folder = asset.folder.canonicalize().map_err(cannot)?;
-    let file = folder.join(relative).canonicalize().map_err(cannot)?;
+    let file = folder.join(relative);
+    asset.log.add(&file);
+    let file = file.canonicalize().map_err(cannot)?;
     if !file.starts_with(&folder) {
         return Err(asset.invalid(here, format!("uri '{uri}' leads out of the asset's folder; it must stay inside")));
     }

@@ -102,7 +102,14 @@ pub fn open_splats(path: &Path, scene: Option<&str>) -> Result<SplatFile> {
         return Err(asset.invalid("/accessors", "all splats have count 0: there are no Gaussians"));
     }
     let order = order.filter(|_| kinds.iter().all(|kind| kind.1 == order));
-    Ok(SplatFile { format: "glTF 2.0 KHR_gaussian_splatting".into(), frame: Frame::RUB, encoding, order, parts })
+    Ok(SplatFile {
+        format: "glTF 2.0 KHR_gaussian_splatting".into(),
+        frame: Frame::RUB,
+        encoding,
+        order,
+        parts,
+        files: asset.log.files(),
+    })
 }
 
 /// The Gaussians of a primitive, and how they stand in it.

@@ -12,6 +12,7 @@ use zip::{CompressionMethod, ZipArchive};
 
 use super::ZIP_MAGIC;
 use crate::error::{Error, Result};
+use crate::ingest::file_log::FileLog;
 
 /// Name of the index in an archive.
 const INDEX: &str = "meta.json";
@@ -27,6 +28,7 @@ pub(super) struct Files {
     path: PathBuf,
     bytes: Mmap,
     place: Place,
+    log: FileLog,
 }
 
 enum Place {
@@ -62,16 +64,17 @@ impl Deref for Content<'_> {
 }
 
 impl Files {
-    /// The files of the SOG whose archive or `meta.json`, at `path`, has these `bytes`.
+    /// The files of the SOG whose archive or `meta.json`, at `path`, has these `bytes`. Those that are read from beside it
+    /// are noted in `log`.
     ///
     /// # Errors
     /// [`Error::Invalid`] when the archive's directory is broken.
-    pub fn new(path: &Path, bytes: Mmap) -> Result<Self> {
+    pub fn new(path: &Path, bytes: Mmap, log: FileLog) -> Result<Self> {
         let place = match bytes.starts_with(ZIP_MAGIC) {
             true => Place::Archive(entries(path, &bytes)?),
             false => Place::Folder(path.parent().unwrap_or(Path::new("")).into()),
         };
-        Ok(Self { path: path.into(), bytes, place })
+        Ok(Self { path: path.into(), bytes, place, log })
     }
 
     /// The archive or the `meta.json`.
@@ -96,7 +99,11 @@ impl Files {
     /// [`Error::Invalid`] when the name leads out, or no such file can be read.
     pub fn read(&self, name: &str) -> Result<Content<'_>> {
         match &self.place {
-            Place::Folder(folder) => super::super::map(&inside(&self.path, folder, name)?).map(Content::Mapped),
+            Place::Folder(folder) => {
+                let file = inside(&self.path, folder, name)?;
+                self.log.add(&file);
+                super::super::map(&file).map(Content::Mapped)
+            }
             Place::Archive(entries) => {
                 let entry = entries.get(name).ok_or_else(|| {
                     let what = match name {

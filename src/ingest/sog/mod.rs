@@ -21,6 +21,7 @@ use memmap2::Mmap;
 use self::files::Files;
 use self::meta::Meta;
 use self::source::{Sog, SogRange};
+use super::file_log::FileLog;
 use super::source::{SplatFile, SplatPart};
 use crate::error::Result;
 use crate::job::Frame;
@@ -66,12 +67,13 @@ pub fn index_file(path: &Path) -> PathBuf {
 /// [`Error::Invalid`](crate::Error::Invalid) when its files are broken or do not hold what `meta.json` promises;
 /// [`Error::Unsupported`](crate::Error::Unsupported) for other versions, and images other than WebP.
 pub(super) fn open(path: &Path, bytes: Mmap) -> Result<SplatFile> {
-    let files = Files::new(path, bytes)?;
+    let log = FileLog::default();
+    let files = Files::new(path, bytes, log.clone())?;
     let sog = Sog::read(&files, Meta::parse(path, &files.index()?)?)?;
-    Ok(splat_file(format!("SOG version {}", sog.version()), SplatPart::whole(SogRange::all(sog))))
+    Ok(splat_file(format!("SOG version {}", sog.version()), SplatPart::whole(SogRange::all(sog)), &log))
 }
 
 /// The format declares neither frame nor encoding.
-fn splat_file(format: String, parts: Vec<SplatPart>) -> SplatFile {
-    SplatFile { format, frame: FRAME, encoding: SplatEncoding::SrgbDisplay, order: None, parts }
+fn splat_file(format: String, parts: Vec<SplatPart>, log: &FileLog) -> SplatFile {
+    SplatFile { format, frame: FRAME, encoding: SplatEncoding::SrgbDisplay, order: None, parts, files: log.files() }
 }

@@ -14,6 +14,7 @@ use glam::DAffine3;
 use rayon::prelude::*;
 use serde::Deserialize;
 
+use super::super::file_log::FileLog;
 use super::super::requests::SplatRequest;
 use super::super::source::{SplatFile, SplatPart};
 use super::files::{Files, inside};
@@ -79,14 +80,15 @@ pub(in super::super) fn open(path: &Path, bytes: &[u8], request: &SplatRequest) 
         }
     }
     // Collected before the first error is looked for, so that the same one is told whichever thread was first.
+    let log = FileLog::default();
     let opened: Vec<Result<Vec<SplatPart>>> =
-        wanted.par_iter().map(|(file, ranges)| parts_of(path, file, *ranges, request)).collect();
+        wanted.par_iter().map(|(file, ranges)| parts_of(path, file, *ranges, request, &log)).collect();
     let parts: Vec<_> = opened.into_iter().collect::<Result<Vec<_>>>()?.into_iter().flatten().collect();
     if parts.is_empty() {
         let why = format!("nothing of {} lies in it", path.display());
         return Err(Error::request(format!("{}.crop", request.field), why));
     }
-    Ok(super::splat_file(format!("streamed SOG, level {lod} of 0 to {}", meta.lod_levels - 1), parts))
+    Ok(super::splat_file(format!("streamed SOG, level {lod} of 0 to {}", meta.lod_levels - 1), parts, &log))
 }
 
 /// The ranges of `lod` in every leaf of `tree`, in order, joined where they touch.
@@ -130,12 +132,14 @@ fn parts_of(
     file: &Path,
     ranges: Option<&[Range<usize>]>,
     request: &SplatRequest,
+    log: &FileLog,
 ) -> Result<Vec<SplatPart>> {
+    log.add(file);
     let bytes = super::super::map(file)?;
     if !super::is_sog(&bytes) {
         return Err(Error::invalid(file, "byte 0", format!("not a SOG, although {} says so", path.display())));
     }
-    let files = Files::new(file, bytes)?;
+    let files = Files::new(file, bytes, log.clone())?;
     let meta = Meta::parse(file, &files.index()?)?;
     if !request.may_need(meta.bounds(), super::FRAME) {
         return Ok(Vec::new());

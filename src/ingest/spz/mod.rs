@@ -37,7 +37,7 @@ pub(super) use container::{GZIP_MAGIC, MAGIC};
 pub(super) fn open(path: &Path, bytes: Mmap) -> Result<SplatFile> {
     let Container { header, format, frame, payload } = Container::open(path, &bytes)?;
     let parts = SplatPart::whole(Spz::new(header, payload));
-    Ok(SplatFile { format, frame, encoding: SplatEncoding::SrgbDisplay, order: None, parts })
+    Ok(SplatFile { format, frame, encoding: SplatEncoding::SrgbDisplay, order: None, parts, files: Vec::new() })
 }
 
 /// Opens SPZ data that another file wraps, and tells the frame that it declares. Errors as in [`Container::open`]; they

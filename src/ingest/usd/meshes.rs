@@ -93,6 +93,7 @@ pub fn load(input: &MeshInput, origin: DVec3, meshes: &mut Meshes, lights: &mut 
         let Loader { materials, dropped, prims, skipped_primitives, dark_lights, notes, .. } = loader;
         Ok(MeshReport {
             path: input.path.clone(),
+            files: [vec![input.path.clone()], stage.resolver.log.files()].concat(),
             scene: None,
             nodes: prims,
             dropped_triangles: dropped,

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use openusd::ar::{self, Asset, DefaultResolver, ResolvedPath, Resolver};
 
 use super::crate_check;
+use crate::ingest::file_log::FileLog;
 
 /// What a package (USDZ) begins with: it is a zip archive.
 pub const PACKAGE_MAGIC: &[u8] = b"PK\x03\x04";
@@ -19,12 +20,14 @@ const MAX_NESTING: usize = 256;
 pub struct FolderResolver {
     /// Canonical.
     folder: PathBuf,
+    /// Files that were read or looked for.
+    pub log: FileLog,
 }
 
 impl FolderResolver {
     /// For the layers in `folder` and below it.
     pub fn new(folder: &Path) -> io::Result<Self> {
-        Ok(Self { folder: folder.canonicalize()? })
+        Ok(Self { folder: folder.canonicalize()?, log: FileLog::default() })
     }
 
     /// The file that holds `asset`, and the entry in it where it is an archive.
@@ -33,6 +36,7 @@ impl FolderResolver {
             Some((package, entry)) => (package, Some(entry)),
             None => (asset.to_owned(), None),
         };
+        self.log.add(Path::new(&file));
         let file = Path::new(&file).canonicalize()?;
         if !file.starts_with(&self.folder) {
             return Err(io::Error::other("it leads out of the stage's folder; it must stay inside"));

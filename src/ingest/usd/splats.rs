@@ -68,6 +68,7 @@ pub fn open_splats(path: &Path) -> Result<SplatFile> {
             encoding: SplatEncoding::SrgbDisplay,
             order,
             parts,
+            files: stage.resolver.log.files(),
         })
     })
 }

@@ -1,0 +1,18 @@
+#!/usr/bin/env bash
+# Checks the OpenJD template and runs it here, and compares all bytes with a bake at once.
+# Needs `openjd` (PyPI openjd-cli) on the path, or in $OPENJD.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+splatprobe=$(realpath "${SPLATPROBE:-target/debug/splatprobe}")
+openjd=${OPENJD:-openjd}
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+
+template=pipelines/openjd/template.yaml
+"$openjd" check "$template"
+"$openjd" summary "$template" -p "Job=x" -p "Output=y"
+"$openjd" run "$template" -p "Job=$PWD/pipelines/demo/demo.json" -p "Output=$work/out" -p "Splatprobe=$splatprobe"
+# The whole bake takes its probes from the same placement.
+"$splatprobe" bake pipelines/demo/demo.json --placed "$work/out.plan/manifest.json" -o "$work/whole" --progress none
+diff -r "$work/whole" "$work/out"
+echo "the parts are the whole, byte for byte"
