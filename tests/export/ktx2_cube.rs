@@ -5,6 +5,7 @@ use std::path::Path;
 
 use glam::{DVec3, Vec3};
 use splatprobe::bake::Calibration;
+use splatprobe::filter::{RgbCubemap, Sampler};
 
 use super::lookup::cube_texel;
 use super::{Baked, SIZE, Shown, factor, json, sphere};
@@ -76,23 +77,29 @@ fn light_probe(out: &Path, probe: &str) -> LightProbe {
 }
 
 impl LightProbe {
-    /// `compute_cubemap_sample_dir` of bevy_pbr 0.19's environment_map.wgsl, for a ray from inside the box.
+    /// `compute_cubemap_sample_dir` of bevy_pbr 0.19's environment_map.wgsl, for a ray from inside the box; before z is
+    /// negated.
     fn sample_direction(&self, origin: DVec3, direction: DVec3) -> DVec3 {
         let (origin, direction) = ((origin - self.translation) / self.scale, direction / self.scale);
         let ahead = |bounds: DVec3| ((bounds - origin) / direction).map(|t| if t >= 0.0 { t } else { f64::MAX });
         let t = ahead(-self.half_extents).min(ahead(self.half_extents)).min_element();
-        (origin + direction * t) * DVec3::new(1.0, 1.0, -1.0)
+        origin + direction * t
     }
+}
+
+/// Look-ups in the first mip as Bevy's sampler makes them, linear: z of the direction is negated for the cube map.
+fn bevy_sampler(out: &Path, probe: &str) -> Sampler {
+    let mip = mips(&out.join(format!("assets/splatprobe/{probe}/specular.ktx2"))).remove(0);
+    Sampler::new(&RgbCubemap::from_fn(mip.n as u32, |d| mip.at(d * DVec3::new(1.0, 1.0, -1.0))))
 }
 
 /// What Bevy shows from the point of capture.
 pub fn bevy(out: &Path, probe: &str) -> Shown {
-    let mip = mips(&out.join(format!("assets/splatprobe/{probe}/specular.ktx2"))).remove(0);
-    let light_probe = light_probe(out, probe);
+    let (light_probe, specular) = (light_probe(out, probe), bevy_sampler(out, probe));
     let manifest = json(&out.with_file_name("bake").join("manifest.json"));
     let record = manifest["probes"].as_array().unwrap().iter().find(|record| record["id"] == *probe).unwrap();
     let taken_at = DVec3::from_array([0, 1, 2].map(|axis| record["position"][axis].as_f64().unwrap()));
-    Box::new(move |d| mip.at(light_probe.sample_direction(taken_at, d)))
+    Box::new(move |d| specular.radiance(light_probe.sample_direction(taken_at, d).as_vec3()))
 }
 
 /// Captured away from the middle of a box that is no cube.
@@ -111,30 +118,28 @@ fn bevy_corrects_exactly_from_everywhere_in_a_box_that_is_no_cube() {
     for probe in &baked.manifest.probes {
         let (position, influence) = (DVec3::from(probe.position), &probe.influence);
         assert_eq!((probe.proxy.min, probe.proxy.max), (influence.min.into(), influence.max.into()));
-        let mip = mips(&out.join(format!("assets/splatprobe/{}/specular.ktx2", probe.id))).remove(0);
-        let light_probe = light_probe(&out, &probe.id);
+        let (light_probe, specular) = (light_probe(&out, &probe.id), bevy_sampler(&out, &probe.id));
         let (mut largest, mut clear, mut count) = (0.0_f64, 0, 0);
         for (i, direction) in sphere().enumerate().step_by(7) {
             let share = DVec3::new(0.1, 0.2, 0.3) + 0.6 * DVec3::splat((i as f64 * 0.618).fract());
             let origin = probe.proxy.min + (probe.proxy.max - probe.proxy.min) * share;
             let expected =
                 splatprobe::place::interpolate::parallax_corrected(position, &probe.proxy, origin, direction);
-            let found = mip.at(light_probe.sample_direction(origin, direction));
-            // Where a mark and what is beside it are mixed, the texel says nothing of its direction.
-            let brighter = factor(found, expected);
-            if let Some(k) = [1.0, f64::from(Calibration::MARK)].into_iter().find(|k| (brighter / k - 1.0).abs() < 0.1)
-            {
+            let found = specular.radiance(light_probe.sample_direction(origin, direction).as_vec3());
+            // Where a mark and what is beside it are mixed, the texel says less of its direction.
+            let k = factor(found, expected);
+            if [1.0, f64::from(Calibration::MARK)].into_iter().any(|pure| (k / pure - 1.0).abs() < 0.1) {
                 largest = largest.max((found.as_dvec3() / k * 2.0 - 1.0).angle_between(expected));
                 clear += 1;
             }
             count += 1;
         }
-        // A texel of the scaled cube covers up to the ratio of the box's edges more of what the capture saw.
         let texel = 2.0 / f64::from(2 * SIZE);
-        println!("{}: {:.2} texels at most", probe.id, largest / texel);
+        println!("{}: {:.2} texels at most, {clear} of {count}", probe.id, largest / texel);
+        // A texel of the scaled cube covers up to the ratio of the box's edges more of what the capture saw.
         let size = light_probe.scale;
         assert!(largest < texel * size.max_element() / size.min_element(), "{}: {}", probe.id, largest / texel);
-        assert!(10 * clear > 8 * count, "{}: {clear} of {count} texels are clear", probe.id);
+        assert!(4 * clear > 3 * count, "{}: {clear} of {count} are clear", probe.id);
     }
 }
 

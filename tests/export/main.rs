@@ -150,9 +150,9 @@ fn assert_is_calibration(engine: &str, shown: &dyn Fn(DVec3) -> Vec3) {
     let (mut largest, mut clear, mut marks, mut mirrored, mut count) = (0.0_f64, 0, 0, 0, 0);
     for direction in sphere() {
         let radiance = shown(direction);
-        // Where a mark and what is beside it are mixed, the brighter one has almost all to say of the direction.
-        let brighter = factor(radiance, direction);
-        if let Some(k) = [1.0, mark].into_iter().find(|k| (brighter / k - 1.0).abs() < 0.1) {
+        // Where a mark and what is beside it are mixed, the mark's own texel has almost all to say of the direction.
+        let k = factor(radiance, direction);
+        if [1.0, mark].into_iter().any(|pure| (k / pure - 1.0).abs() < 0.1) {
             let found = radiance.as_dvec3() / k * 2.0 - 1.0;
             largest = largest.max(found.angle_between(direction));
             clear += 1;
@@ -171,7 +171,7 @@ fn assert_is_calibration(engine: &str, shown: &dyn Fn(DVec3) -> Vec3) {
         share(marks),
         share(mirrored)
     );
-    assert!(texels <= 1.0 && share(clear) > 0.8, "{engine}: {texels} texels off in {}", share(clear));
+    assert!(texels <= 1.0 && share(clear) > 0.75, "{engine}: {texels} texels off in {}", share(clear));
     // Marks are made of dots little larger than a texel, so that their edges move by parts of one.
     assert!(share(marks) > 0.95, "{engine}: {}", share(marks));
     assert!(share(mirrored) < share(marks) - 0.05, "{engine}: {} in a mirror", share(mirrored));
