@@ -89,7 +89,7 @@ fn box_projected(at: DVec3, direction: DVec3, [min, max]: [DVec3; 2], taken_at: 
 fn projections_on_boxes_are_those_of_the_manifest() {
     let baked = Baked::new();
     let document = json(&baked.export("unity").join("probes.json"));
-    let (mut urp, mut count) = (0.0_f64, 0);
+    let (mut urp, mut unprojected, mut count) = (0.0_f64, 0.0_f64, 0);
     for (probe, record) in document["probes"].as_array().unwrap().iter().zip(&baked.manifest.probes) {
         let corners = |value: &Value| {
             let (centre, half) = (vector(&value["centre"]), vector(&value["size"]) / 2.0);
@@ -105,12 +105,15 @@ fn projections_on_boxes_are_those_of_the_manifest() {
             let hdrp = box_projected(at, seen, corners(&probe["proxy"]), taken_at);
             assert!(hdrp.angle_between(expected) < 1e-6, "{at} {direction}");
             urp += box_projected(at, seen, corners(&probe["box"]), taken_at).angle_between(expected);
+            unprojected += seen.angle_between(expected);
             count += 1;
         }
     }
-    // The box of URP is larger by the blend distance where it does not fade, here by up to 0.6 m of 2.5 m.
-    println!("URP: {:.2} degrees in the mean", (urp / f64::from(count)).to_degrees());
-    assert!(urp / f64::from(count) < 0.15);
+    // URP's one box is larger than the proxy where the probe does not fade, here by 0.6 m at five of six faces of a room of
+    // 2.5 m. That must still be much nearer to the truth than no projection.
+    let mean = |sum: f64| (sum / f64::from(count)).to_degrees();
+    println!("URP: {:.1} degrees in the mean, {:.1} without projection", mean(urp), mean(unprojected));
+    assert!(urp < 0.6 * unprojected, "{} of {}", mean(urp), mean(unprojected));
 }
 
 #[test]

@@ -36,7 +36,7 @@ else
 fi
 python3 "$here/export/unreal.py" "$work/unreal"
 if [ -d "$tools/blender" ]; then
-    "$tools/blender/bin/python" "$here/export/blender.py" "$work/blender"
+    "$tools/blender/bin/python" "$here/export/blender.py" "$work/blender" | tail -n 1
 else
     echo "skipped: bpy cannot be installed for $(python3 --version)"
 fi
