@@ -38,8 +38,9 @@ fn main() {
             _ => panic!("unknown option {word}"),
         }
     }
-    let mut scene = interior(&InteriorSettings { gaussians, ..InteriorSettings::default() });
-    let middle = DVec3::new(1.5 * ROOM.x, 1.4, 1.5 * ROOM.z) - scene.origin;
+    let splats = interior(&InteriorSettings { gaussians, ..InteriorSettings::default() });
+    let mut scene = Scene { splats, ..Scene::default() };
+    let middle = DVec3::new(1.5 * ROOM.x, 1.4, 1.5 * ROOM.z);
     let coated = {
         let mut coated = lambert(0.5);
         coated.clearcoat.factor = 1.0.into();

@@ -3,6 +3,7 @@
 mod calibration;
 mod progress;
 mod schedule;
+mod traced;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -14,7 +15,8 @@ use crate::trace::{Face, Tile};
 
 pub use calibration::Calibration;
 pub use progress::{Progress, ProgressEvent, ProgressState, Silent};
-pub use schedule::{Earlier, TileSums, Traced, bake_probes, rebake_probes};
+pub use schedule::{bake_probes, rebake_probes};
+pub use traced::{Earlier, TileSums, Traced};
 
 // The rays of a texel are traced in one tile.
 const _: () = assert!(MAX_SAMPLES <= Tile::EDGE);

@@ -120,12 +120,13 @@ fn damaged_cut_off_and_foreign_entries_are_baked_anew() {
     let folder = few();
     let bake = "bake --splats few.ply --grid 2,1,1 --face-size 16 --cache kept";
     let first = stats(folder.path(), &format!("{bake} -o first"));
-    let ruin = |change: &dyn Fn(&Path, Vec<u8>)| {
+    type Ruin<'a> = &'a dyn Fn(&Path, Vec<u8>);
+    let ruin = |change: Ruin| {
         for (name, content) in contents(&folder.path().join("kept")) {
             change(&folder.path().join("kept").join(name), content);
         }
     };
-    let ruins: [&dyn Fn(&Path, Vec<u8>); 3] = [
+    let ruins: [Ruin; 3] = [
         &|path, mut content| {
             *content.last_mut().unwrap() ^= 1;
             std::fs::write(path, content).unwrap();
