@@ -53,7 +53,7 @@ impl Bvh {
 
         let meshes = &scene.meshes;
         let centre = |i| meshes.corners(i).iter().sum::<Vec3>() / 3.0;
-        let parts = meshes.parts(MESH_LANES);
+        let parts = meshes.triangles_by_input(MESH_LANES);
         let sorted = parts.into_iter().map(|part| sort_by_morton_code(part, centre, |i| triangle_box(meshes, i)));
         let sorted: Vec<MortonOrder> = sorted.collect();
         scene.meshes.reorder_triangles(&sorted.iter().flat_map(|part| &part.order).copied().collect::<Vec<u32>>());

@@ -91,7 +91,7 @@ fn load_meshes(inputs: &[MeshInput], origin: DVec3) -> Result<LoadedMeshes> {
         // Of whichever format its first bytes show.
         let load = if usd::is_usd(&map(&input.path)?) { usd::load } else { gltf::load };
         loaded.reports.push(load(input, origin, &mut loaded.meshes, &mut loaded.lights)?);
-        loaded.meshes.part_ends.push(loaded.meshes.triangles.len());
+        loaded.meshes.input_ends.push(loaded.meshes.triangles.len());
     }
     Ok(loaded)
 }

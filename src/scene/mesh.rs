@@ -30,7 +30,7 @@ pub struct Meshes {
     /// Textures of all inputs.
     pub textures: Vec<Texture>,
     /// Where the triangles of each input end; those behind the last are of none.
-    pub part_ends: Vec<usize>,
+    pub input_ends: Vec<usize>,
 }
 
 /// What a vertex carries beside its position.
@@ -57,9 +57,9 @@ impl Meshes {
     }
 
     /// The triangles of each input, in at most `count` ranges: the last one holds what is left. Some may be empty.
-    pub fn parts(&self, count: usize) -> Vec<Range<usize>> {
+    pub fn triangles_by_input(&self, count: usize) -> Vec<Range<usize>> {
         let all = self.triangles.len();
-        let ends = self.part_ends.iter().copied().take(count.saturating_sub(1)).chain([all]);
+        let ends = self.input_ends.iter().copied().take(count.saturating_sub(1)).chain([all]);
         let mut start = 0;
         ends.map(|end| std::mem::replace(&mut start, end)..end).collect()
     }
