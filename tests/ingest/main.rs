@@ -3,6 +3,7 @@
 #[path = "../common/mod.rs"]
 mod common;
 
+mod files;
 mod gltf_files;
 mod gltf_hostile;
 mod gltf_load;

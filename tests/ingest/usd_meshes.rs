@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use crate::common::Random;
+use crate::files::with_flipped_bytes;
 use glam::{DVec3, Mat3, Vec2, Vec3, Vec4};
 use splatprobe::ingest::{self, SceneReport, load_scene};
 use splatprobe::job::{MeshInput, MissingTexture, SplatInput};
@@ -619,21 +619,14 @@ fn flip(name: &str, count: usize, seed: u64) -> usize {
         std::fs::copy(fixture(beside), folder.path().join(beside)).unwrap();
     }
     let path = folder.path().join(name);
-    let mut random = Random(seed);
-    let mut loaded = 0;
-    for _ in 0..count {
-        let mut broken = bytes.clone();
-        for _ in 0..1 + random.below(3) {
-            let at = random.below(broken.len());
-            broken[at] = random.bits() as u8;
-        }
-        std::fs::write(&path, &broken).unwrap();
-        if let Ok((scene, _)) = load_path(&path) {
-            loaded += 1;
+    with_flipped_bytes(&bytes, count, seed, |broken| {
+        std::fs::write(&path, broken).unwrap();
+        let loaded = load_path(&path);
+        if let Ok((scene, _)) = &loaded {
             assert!(scene.meshes.positions.iter().all(|position| position.is_finite()));
         }
-    }
-    loaded
+        loaded.is_ok()
+    })
 }
 
 #[test]

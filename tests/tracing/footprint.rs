@@ -1,14 +1,12 @@
 //! The footprint filter: closed forms, and the production tracers against the f64 reference under it.
 
-use std::path::Path;
-
 use crate::common::{
     Gaussian, NoSurfaces, PatternedSurfaces, Random, add_random_triangles, cloud, hangs_on_rounding_under, splats,
 };
+use crate::three_scenes::{Sample, three_scenes};
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use splatprobe::bvh::Bvh;
-use splatprobe::ingest::load_scene;
-use splatprobe::job::{self, Job, Order};
+use splatprobe::job::{self, Order};
 use splatprobe::scene::splats::ALPHA_MIN;
 use splatprobe::scene::{Scene, Splats, colour};
 use splatprobe::shade::UnlitSurfaces;
@@ -164,16 +162,7 @@ fn random_texels(size: u32, count: usize) -> Vec<Tile> {
 
 #[test]
 fn the_tracers_agree_on_three_scenes_under_both_footprints() {
-    let demo = Job::from_file(&Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/demo/demo.json")).unwrap();
-    let (demo, _) = load_scene(&demo.splats, &demo.meshes).unwrap();
-    let extreme = Scene { splats: cloud(20_000, [4e-5, 0.5], 1, 51), ..Scene::default() };
-    let mut mixed = Scene { splats: cloud(4000, [0.01, 0.4], 3, 52), ..Scene::default() };
-    add_random_triangles(&mut mixed, 200, 53);
-    for (name, mut scene, origin, rms, patterned) in [
-        ("demo", demo, DVec3::new(2.5, 1.4, 2.1), 2e-5, false),
-        ("extreme anisotropy", extreme, DVec3::ZERO, 1e-4, false),
-        ("masked and blended triangles", mixed, DVec3::new(0.1, 0.2, -0.3), 2e-5, true),
-    ] {
+    for Sample { name, mut scene, origin, rms, patterned } in three_scenes() {
         let bvh = Bvh::build(&mut scene);
         let scene = &scene;
         let (pattern, unlit) = (PatternedSurfaces(scene), UnlitSurfaces::new(&scene.meshes));

@@ -7,4 +7,5 @@ mod analytic;
 mod bvh;
 mod footprint;
 mod stress;
+mod three_scenes;
 mod tracers;

@@ -1,12 +1,10 @@
 //! The production tracers against the f64 reference.
 
-use std::path::Path;
-
 use crate::common::{NoSurfaces, PatternedSurfaces, Random, add_random_triangles, cloud, hangs_on_rounding};
+use crate::three_scenes::{Sample, three_scenes};
 use glam::{DVec3, Vec3};
 use splatprobe::bvh::Bvh;
-use splatprobe::ingest::load_scene;
-use splatprobe::job::{Job, Order, ShDirection};
+use splatprobe::job::{Order, ShDirection};
 use splatprobe::scene::{Scene, colour};
 use splatprobe::shade::UnlitSurfaces;
 use splatprobe::trace::gaussian::response;
@@ -180,16 +178,7 @@ fn compare_pixels(
 
 #[test]
 fn four_thousand_pixels_of_three_scenes_equal_the_reference() {
-    let demo = Job::from_file(&Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/demo/demo.json")).unwrap();
-    let (demo, _) = load_scene(&demo.splats, &demo.meshes).unwrap();
-    let extreme = Scene { splats: cloud(20_000, [4e-5, 0.5], 1, 51), ..Scene::default() };
-    let mut mixed = Scene { splats: cloud(4000, [0.01, 0.4], 3, 52), ..Scene::default() };
-    add_random_triangles(&mut mixed, 200, 53);
-    for (name, mut scene, origin, rms, patterned) in [
-        ("demo", demo, DVec3::new(2.5, 1.4, 2.1), 2e-5, false),
-        ("extreme anisotropy", extreme, DVec3::ZERO, 1e-4, false),
-        ("masked and blended triangles", mixed, DVec3::new(0.1, 0.2, -0.3), 2e-5, true),
-    ] {
+    for Sample { name, mut scene, origin, rms, patterned } in three_scenes() {
         let bvh = Bvh::build(&mut scene);
         let scene = &scene;
         let (pattern, unlit) = (PatternedSurfaces(scene), UnlitSurfaces::new(&scene.meshes));

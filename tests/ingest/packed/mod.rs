@@ -6,15 +6,12 @@ mod ksplat;
 mod splat;
 mod spz;
 
-use std::cell::RefCell;
-use std::io::{Seek, Write};
-use std::path::{Path, PathBuf};
-
 use glam::{DMat3, DQuat, DVec3};
 use splatprobe::ingest::{SceneReport, load_scene};
 use splatprobe::job::{Frame, SplatInput};
 use splatprobe::scene::{Scene, sh};
 
+pub use crate::files::{data, load, load_with};
 use crate::packed_files::Known;
 
 /// How far a format's steps may take a Gaussian.
@@ -70,28 +67,6 @@ pub fn known(degree: u8, count: usize) -> Vec<Known> {
         .collect()
 }
 
-/// Loads `bytes` as a file without extension, with changes to the input.
-pub fn load_with(bytes: &[u8], change: impl Fn(&mut SplatInput)) -> splatprobe::Result<(Scene, SceneReport)> {
-    thread_local! {
-        // Written over and over: creating thousands of files takes seconds on some file systems.
-        static FILE: RefCell<tempfile::NamedTempFile> =
-            RefCell::new(tempfile::NamedTempFile::new().expect("a temporary file"));
-    }
-    FILE.with_borrow_mut(|file| {
-        file.rewind().expect("rewound");
-        file.write_all(bytes).expect("written");
-        file.as_file().set_len(bytes.len() as u64).expect("cut to length");
-        let mut input = SplatInput::new(file.path());
-        change(&mut input);
-        load_scene(&[input], &[])
-    })
-}
-
-/// Loads `bytes` as a file, in the frame that its format declares.
-pub fn load(bytes: &[u8]) -> splatprobe::Result<(Scene, SceneReport)> {
-    load_with(bytes, |_| {})
-}
-
 /// Loads `bytes` with the file's coordinates as they are.
 pub fn load_raw(bytes: &[u8]) -> (Scene, SceneReport) {
     load_with(bytes, |input| input.frame = Some(Frame::RUB)).expect("loads")
@@ -137,18 +112,6 @@ pub fn assert_near(scene: &Scene, i: usize, known: &Known, tolerance: &Tolerance
         let bound = if k % per_channel == 0 { tolerance.dc } else { tolerance.rest };
         assert!((f64::from(found) - expected).abs() <= bound, "coefficient {k} of {i}: {found}, not {expected}");
     }
-}
-
-/// A file of the project's test data, or `None` (with a message) where that is not at hand.
-pub fn data(name: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os("SPLATPROBE_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    let path = folder.join(name);
-    if path.exists() {
-        return Some(path);
-    }
-    println!("skipped: {} is absent; set SPLATPROBE_DATA", path.display());
-    None
 }
 
 /// Asserts that the published file `name` holds the four Gaussians that all of its siblings hold: corners of a square in x

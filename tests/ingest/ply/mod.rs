@@ -3,9 +3,7 @@
 mod builder;
 mod malformed;
 
-use std::cell::RefCell;
-use std::io::{Seek, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use glam::{DVec3, Vec3};
 use splatprobe::Error;
@@ -13,31 +11,11 @@ use splatprobe::ingest::{SceneReport, inspect_splats, load_scene};
 use splatprobe::job::{Crop, Frame, SplatInput};
 use splatprobe::scene::{Scene, SplatEncoding, sh};
 
+use crate::files::{data, load, load_with};
 use builder::{Builder, Encoding, Others, splats, value};
 
 fn input(path: &Path) -> SplatInput {
     SplatInput::new(path)
-}
-
-/// Loads `bytes` as a file, with changes to the input.
-fn load_with(bytes: &[u8], change: impl Fn(&mut SplatInput)) -> splatprobe::Result<(Scene, SceneReport)> {
-    thread_local! {
-        // Written over and over: creating thousands of files takes seconds on some file systems.
-        static FILE: RefCell<tempfile::NamedTempFile> =
-            RefCell::new(tempfile::NamedTempFile::new().expect("a temporary file"));
-    }
-    FILE.with_borrow_mut(|file| {
-        file.rewind().expect("rewound");
-        file.write_all(bytes).expect("written");
-        file.as_file().set_len(bytes.len() as u64).expect("cut to length");
-        let mut input = input(file.path());
-        change(&mut input);
-        load_scene(&[input], &[])
-    })
-}
-
-fn load(bytes: &[u8]) -> splatprobe::Result<(Scene, SceneReport)> {
-    load_with(bytes, |_| {})
 }
 
 /// Every stored number, by its bits.
@@ -276,18 +254,6 @@ fn reports_are_camel_case_json_that_reads_back() {
     assert_eq!((&splats["frame"], &splats["encoding"]), (&"rdf".into(), &"srgb-display".into()));
     assert!(splats["robustBounds"]["min"][2].is_number());
     assert_eq!(serde_json::from_value::<SceneReport>(json).expect("reads back"), report);
-}
-
-/// A file of the project's test data, or `None` (with a message) where that is not at hand.
-fn data(name: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os("SPLATPROBE_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    let path = folder.join(name);
-    if path.exists() {
-        return Some(path);
-    }
-    println!("skipped: {} is absent; set SPLATPROBE_DATA", path.display());
-    None
 }
 
 #[test]

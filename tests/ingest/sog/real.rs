@@ -1,21 +1,11 @@
 //! Files that others made.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use splatprobe::ingest::load_scene;
 use splatprobe::job::SplatInput;
 
-/// A file of the project's test data, or `None` (with a message) where that is not at hand.
-fn data(name: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os("SPLATPROBE_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    let path = folder.join(name);
-    if path.exists() {
-        return Some(path);
-    }
-    println!("skipped: {} is absent; set SPLATPROBE_DATA", path.display());
-    None
-}
+use crate::files::data;
 
 #[test]
 fn a_captured_desk_is_the_ply_it_was_made_of_in_another_order() {
