@@ -1,6 +1,6 @@
 //! The committed schemas are those of the types, and an example job is valid by them.
 //!
-//! `BLESS=1 cargo test --test schemas` writes them anew.
+//! `BLESS=1 cargo test --test tool schemas` writes them anew.
 
 use std::path::PathBuf;
 
@@ -17,7 +17,7 @@ fn check(name: &str, schema: Schema) {
         std::fs::write(&path, &text).unwrap();
     }
     let committed = std::fs::read_to_string(&path).unwrap();
-    assert!(committed == text, "{} is out of date: run BLESS=1 cargo test --test schemas", path.display());
+    assert!(committed == text, "{} is out of date: run BLESS=1 cargo test --test tool schemas", path.display());
 }
 
 #[test]
