@@ -64,7 +64,8 @@ fn every_white_material_vanishes_in_a_white_surrounding() {
         coated.specular = 1.0.into();
         coated
     };
-    let materials = [(lambert(1.0), 1e-3), (metal(0.0), 1e-3), (metal(0.5), 0.02), (metal(1.0), 0.03), (coated, 0.03)];
+    let materials =
+        [(lambert(1.0), 0.005), (metal(0.0), 1e-4), (metal(0.5), 0.015), (metal(1.0), 0.012), (coated, 0.01)];
     for (k, (material, tolerance)) in materials.into_iter().enumerate() {
         let mut scene = Scene { background: LinearRgb(Vec3::splat(0.7)), ..Scene::default() };
         add_sphere(&mut scene, material, Vec3::ZERO, 1.0);
@@ -77,12 +78,12 @@ fn every_white_material_vanishes_in_a_white_surrounding() {
 #[test]
 fn a_convex_part_under_a_sky_is_lit_as_by_path_tracing() {
     for (k, (material, tolerance)) in
-        [(lambert(0.8), 0.02), (metal(0.3), 0.04), (metal(0.7), 0.03)].into_iter().enumerate()
+        [(lambert(0.8), 0.03), (metal(0.3), 0.01), (metal(0.7), 0.025), (metal(1.0), 0.03)].into_iter().enumerate()
     {
         let mut scene = Scene { environment: Some(sky()), ..Scene::default() };
         add_sphere(&mut scene, material, Vec3::ZERO, 1.0);
         let rays = rays_at_the_sphere();
-        let (probe, path) = (seen(&mut scene, &rays), seen_by_paths(&mut scene, 4096, &rays));
+        let (probe, path) = (seen(&mut scene, &rays), seen_by_paths(&mut scene, 16_384, &rays));
         let squares = |values: &mut dyn Iterator<Item = Vec3>| values.map(|v| v.length_squared()).sum::<f32>();
         let differences = squares(&mut probe.iter().zip(&path).map(|(a, b)| *a - *b));
         let relative = (differences / squares(&mut path.iter().copied())).sqrt();
