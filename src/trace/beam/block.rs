@@ -22,44 +22,9 @@
 use glam::{DVec3, Vec3};
 use pulp::Simd;
 
+use super::desk::{Colour, Desk, Entry, Open, Waiting};
+use super::lanes::{Lanes, texel_of_lane};
 use crate::trace::{Radiance, Tile};
-
-/// Lanes of a block of 8 x 8 texels: for large faces, where most Gaussians fill several blocks, so that what is done once
-/// per entry is shared by many rays.
-pub(super) const WIDE: usize = 64;
-
-/// Lanes of a block of 4 x 4 texels: for small faces, where larger blocks would leave most lanes idle.
-pub(super) const NARROW: usize = 16;
-
-/// Texels along the edge of a block with so many lanes.
-pub(super) const fn edge(lanes: usize) -> u32 {
-    if lanes == WIDE { 8 } else { 4 }
-}
-
-/// Texels along the edge of the squares that a block's lanes go through one after the other: a vector of 16 lanes is a
-/// square, so that small Gaussians touch few vectors.
-pub(super) const QUAD: u32 = 4;
-
-/// Column and row of a lane in its block.
-const fn texel_of_lane(lanes: usize, lane: usize) -> [u32; 2] {
-    let (lane, quads_per_row) = (lane as u32, edge(lanes) / QUAD);
-    let (quad, inside) = (lane / (QUAD * QUAD), lane % (QUAD * QUAD));
-    [quad % quads_per_row * QUAD + inside % QUAD, quad / quads_per_row * QUAD + inside / QUAD]
-}
-
-/// The lane of a texel, by its column and row in the block.
-pub(super) const fn lane_of_texel(lanes: usize, [x, y]: [u32; 2]) -> usize {
-    let quad = y / QUAD * (edge(lanes) / QUAD) + x / QUAD;
-    (quad * QUAD * QUAD + y % QUAD * QUAD + x % QUAD) as usize
-}
-
-/// First and last column, and first and last row, that vector `v` of `width` lanes covers in its block.
-#[inline(always)]
-pub(super) fn texels_of_vector(lanes: usize, width: usize, v: usize) -> [[u32; 2]; 2] {
-    let [left, top] = texel_of_lane(lanes, v * width);
-    let [_, bottom] = texel_of_lane(lanes, (v + 1) * width - 1);
-    [[left, left + QUAD - 1], [top, bottom]]
-}
 
 /// Transmittance stops falling here. Nothing this faint is seen, and denormal numbers, which cost a hundred times more
 /// than others, never arise.
@@ -68,66 +33,6 @@ const FAINTEST: f32 = 1e-30;
 /// A block whose unfinished entries outnumber this goes to the ray tracer: each of them may have to be corrected by
 /// each.
 const MAX_OPEN: usize = 1024;
-
-/// A value per texel of a block, aligned to the widest vector.
-#[derive(Debug, Clone, Copy)]
-#[repr(align(64))]
-pub(super) struct Lanes<const N: usize>(pub [f32; N]);
-
-impl<const N: usize> Lanes<N> {
-    pub const fn splat(value: f32) -> Self {
-        Self([value; N])
-    }
-
-    /// Vector `v` of `N / S::F32_LANES`.
-    #[inline(always)]
-    pub fn get<S: Simd>(&self, v: usize) -> S::f32s {
-        S::as_simd_f32s(&self.0).0[v]
-    }
-
-    #[inline(always)]
-    pub fn set<S: Simd>(&mut self, v: usize, vector: S::f32s) {
-        S::as_mut_simd_f32s(&mut self.0).0[v] = vector;
-    }
-}
-
-/// One candidate's contributions to a block.
-#[derive(Clone, Copy)]
-pub(super) struct Entry<const N: usize> {
-    /// Sort key; negative infinity in lanes that it does not contribute to.
-    pub key: Lanes<N>,
-    /// Depth of the contribution along the face's look axis.
-    pub depth: Lanes<N>,
-    /// 0 in lanes that it does not contribute to.
-    pub alpha: Lanes<N>,
-    /// Transmittance of all that precedes it in each lane.
-    before: Lanes<N>,
-    /// Largest key of all earlier arrivals.
-    latest: Lanes<N>,
-    pub colour: Colour,
-}
-
-impl<const N: usize> Entry<N> {
-    pub const EMPTY: Self = Self {
-        key: Lanes::splat(f32::NEG_INFINITY),
-        depth: Lanes::splat(0.0),
-        alpha: Lanes::splat(0.0),
-        before: Lanes::splat(0.0),
-        latest: Lanes::splat(0.0),
-        colour: Colour::Splat([0.0; 3]),
-    };
-}
-
-/// The colour of an entry; lanes are indices into the tile's list of colours that differ from lane to lane.
-#[derive(Clone, Copy)]
-pub(super) enum Colour {
-    /// The same in all lanes, in the splats' encoding.
-    Splat([f32; 3]),
-    SplatLanes(u32),
-    /// The same in all lanes, linear radiance.
-    Linear([f32; 3]),
-    LinearLanes(u32),
-}
 
 /// What a block's rays have gathered so far.
 pub(super) struct Block<const N: usize> {
@@ -153,121 +58,6 @@ pub(super) struct Block<const N: usize> {
     /// Unfinished contributions; while there are any.
     desk: Option<Box<Desk<N>>>,
     pub state: State,
-}
-
-/// Where a block keeps its unfinished contributions. Blocks take turns with a few desks, which stay in the fastest
-/// cache that way.
-#[derive(Default)]
-pub(super) struct Desk<const N: usize> {
-    entries: Vec<Entry<N>>,
-    /// Slots of `entries` that no entry uses.
-    free: Vec<u32>,
-    /// Entries that wait for their turn to arrive, in its order, from the `next` on.
-    waiting: Vec<Waiting>,
-    next: usize,
-    /// Entries that have arrived, in that order.
-    open: Vec<Open>,
-}
-
-#[derive(Debug, Clone, Copy)]
-struct Waiting {
-    /// Bits of the entry's least key, and its candidate's index.
-    turn: u64,
-    slot: u32,
-    key_max: f32,
-}
-
-#[derive(Debug, Clone, Copy)]
-struct Open {
-    slot: u32,
-    /// Largest key.
-    key_max: f32,
-}
-
-/// Least and largest key of an entry.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct KeyRange {
-    pub min: f32,
-    pub max: f32,
-}
-
-impl KeyRange {
-    /// Of an entry that contributes nothing.
-    pub const EMPTY: Self = Self { min: f32::INFINITY, max: f32::NEG_INFINITY };
-
-    pub fn is_empty(self) -> bool {
-        self.min == f32::INFINITY
-    }
-}
-
-impl<const N: usize> Desk<N> {
-    /// A slot to make an entry in. Give it back with [`Desk::wait`] or [`Desk::release`].
-    #[inline(always)]
-    pub fn slot(&mut self) -> u32 {
-        self.free.pop().unwrap_or_else(|| {
-            self.entries.push(Entry::EMPTY);
-            self.entries.len() as u32 - 1
-        })
-    }
-
-    #[inline(always)]
-    pub fn entry(&mut self, slot: u32) -> &mut Entry<N> {
-        &mut self.entries[slot as usize]
-    }
-
-    /// Gives back a slot whose entry contributes nothing.
-    #[inline(always)]
-    pub fn release(&mut self, slot: u32) {
-        self.free.push(slot);
-    }
-
-    /// Lets the entry in `slot` wait until nothing can arrive before its least key. Of equal keys, that of the lower
-    /// `index` arrives first.
-    #[inline(always)]
-    pub fn wait(&mut self, slot: u32, keys: KeyRange, index: u32) {
-        // Keys are not negative, so their bit patterns order as they do.
-        let turn = u64::from(keys.min.to_bits()) << 32 | u64::from(index);
-        let waiting = Waiting { turn, slot, key_max: keys.max };
-        self.waiting.push(waiting);
-        // Most come last, or nearly.
-        let mut place = self.waiting.len() - 1;
-        while place > self.next && self.waiting[place - 1].turn > turn {
-            self.waiting[place] = self.waiting[place - 1];
-            place -= 1;
-        }
-        self.waiting[place] = waiting;
-    }
-
-    fn is_empty(&self) -> bool {
-        self.open.is_empty() && self.next == self.waiting.len()
-    }
-
-    /// Takes the entry whose turn is next if that is before `limit`.
-    #[inline(always)]
-    fn take_before(&mut self, limit: u64) -> Option<Waiting> {
-        let first = self.waiting.get(self.next).copied().filter(|first| first.turn < limit)?;
-        self.next += 1;
-        Some(first)
-    }
-
-    /// The least key that waits.
-    #[inline(always)]
-    fn least_waiting(&mut self) -> f32 {
-        // Those taken make room once they outnumber those that wait, so that each is moved at most once.
-        if 2 * self.next >= self.waiting.len() {
-            self.waiting.copy_within(self.next.., 0);
-            self.waiting.truncate(self.waiting.len() - self.next);
-            self.next = 0;
-        }
-        self.waiting.get(self.next).map_or(f32::INFINITY, |first| f32::from_bits((first.turn >> 32) as u32))
-    }
-
-    /// Makes every slot free again.
-    fn clear(&mut self) {
-        self.free.extend(self.waiting.drain(..).skip(self.next).map(|waiting| waiting.slot));
-        self.next = 0;
-        self.free.extend(self.open.drain(..).map(|open| open.slot));
-    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -6,7 +6,9 @@
 //! the descent any more: what stands behind a wall is never projected.
 
 mod block;
+mod desk;
 mod frustum;
+mod lanes;
 mod project;
 mod shade;
 mod walk;
@@ -14,7 +16,8 @@ mod walk;
 use glam::DVec3;
 use pulp::{Simd, WithSimd};
 
-use self::block::{Block, NARROW, WIDE, edge, lane_of_texel};
+use self::block::Block;
+use self::lanes::{NARROW, WIDE, edge, lane_of_texel};
 use self::shade::Shader;
 use self::walk::Walk;
 use super::counters::{Counters, Tally};

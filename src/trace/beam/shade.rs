@@ -4,7 +4,9 @@ use glam::DVec3;
 use pulp::Simd;
 
 use super::BeamTracer;
-use super::block::{Block, Colour, Desk, Entry, KeyRange, Lanes, State, edge, texels_of_vector};
+use super::block::{Block, State};
+use super::desk::{Colour, Desk, Entry, KeyRange};
+use super::lanes::{Lanes, edge, texels_of_vector};
 use super::project::{Candidate, LOG2_ALPHA_MIN};
 use crate::job::{Order, ShDirection};
 use crate::scene::sh;
