@@ -7,6 +7,8 @@
 //! cargo bench --bench trace -- --cases beam-800,beam-64 --runs 9 --pixels 4000
 //! ```
 //!
+//! A line under each case of the beam tracer says what it counted, in a run of its own.
+//!
 //! Times are medians over `--runs`: wall time at all cores, processor time at one. Errors are against `reference` in display space at
 //! `--pixels` random texels of the case's cube.
 
@@ -21,7 +23,8 @@ use splatprobe::job::{self, Order, SplatInput};
 use splatprobe::scene::{Scene, colour};
 use splatprobe::shade::UnlitSurfaces;
 use splatprobe::trace::{
-    BeamTracer, Face, Footprint, Level, Radiance, Ray, RayTracer, ReferenceTracer, Tile, TileTracer, TraceSettings,
+    BeamTracer, Counters, Face, Footprint, Level, Radiance, Ray, RayTracer, ReferenceTracer, Tile, TileTracer,
+    TraceSettings,
 };
 
 struct Arguments {
@@ -80,7 +83,8 @@ fn measure(scene: &Scene, bvh: &Bvh, probe: DVec3, case: &str, arguments: &Argum
     let surfaces = UnlitSurfaces::new(&scene.meshes);
     let beam = BeamTracer { level, ..BeamTracer::new(scene, bvh, &surfaces, settings) };
     let ray = RayTracer { scene, bvh, surfaces: &surfaces, settings };
-    let tracer: &dyn TileTracer = if tracer == "ray" { &ray } else { &beam };
+    let is_ray = tracer == "ray";
+    let tracer: &dyn TileTracer = if is_ray { &ray } else { &beam };
 
     let rays = 6.0 * f64::from(size) * f64::from(size);
     let median = |threads: usize, clock: &dyn Fn() -> f64| {
@@ -107,6 +111,22 @@ fn measure(scene: &Scene, bvh: &Bvh, probe: DVec3, case: &str, arguments: &Argum
         error.large,
         arguments.pixels,
     );
+    if !is_ray {
+        let counters = Counters::new(scene.splats.len());
+        cube(&BeamTracer { counters: Some(&counters), ..beam }, probe, size);
+        let report = counters.report();
+        println!(
+            "  {:.0} nodes and {:.0} candidates a tile of {:.0} rays, {:.1} evaluations and {:.1} contributions a ray, \
+             {} Gaussians touched, {} rays traced singly",
+            report.nodes_per_tile,
+            report.candidates_per_tile,
+            report.rays as f64 / report.tiles as f64,
+            report.evaluations_per_ray,
+            report.contributions_per_ray,
+            report.gaussians_touched,
+            report.fallback_rays,
+        );
+    }
 }
 
 fn tiles(size: u32) -> Vec<Tile> {
