@@ -19,6 +19,10 @@ use crate::scene::{Meshes, Scene, Splats};
 /// A cluster may cover this many times its members' summed surface area. Larger values give fewer, looser nodes.
 const CLUSTER_LOOSENESS: f32 = 1.0;
 
+/// More clusters than this are divided into eight parts before obvhs takes them, part after part: its working memory is
+/// some 400 bytes per cluster, a third of a Gaussian with SH 3.
+const MAX_CLUSTERS: usize = 1 << 16;
+
 /// Cells per axis of the Morton curve. Above its 3 x 19 bits stands the primitive's size.
 const MORTON_CELLS: f64 = (1u32 << 19) as f64;
 
@@ -43,12 +47,12 @@ impl Bvh {
             sort_by_morton_code(0..splats.len(), |i| splats.means[i], |i| gaussian_box(splats, i));
         scene.splats.reorder(&order);
         drop(order);
-        let clusters = gaussian_clusters(&scene.splats, &codes);
+        let mut clusters = gaussian_clusters(&scene.splats, &codes);
         drop(codes);
         // About as many nodes as clusters; growing by doubling would hold the largest array of a build twice.
         let mut nodes = Vec::with_capacity(clusters.len() + 2);
         nodes.push(WideNode::EMPTY);
-        add_below_root(&mut nodes, 0, scene, &clusters);
+        add_below(&mut nodes, (0, 0), scene, &mut clusters);
         drop(clusters);
 
         let meshes = &scene.meshes;
@@ -59,9 +63,9 @@ impl Bvh {
         scene.meshes.reorder_triangles(&sorted.iter().flat_map(|part| &part.order).copied().collect::<Vec<u32>>());
         let mut first = 0;
         for (part, MortonOrder { codes, .. }) in sorted.into_iter().enumerate() {
-            let clusters = triangle_clusters(&scene.meshes, &codes, first);
+            let mut clusters = triangle_clusters(&scene.meshes, &codes, first);
             first += codes.len();
-            add_below_root(&mut nodes, 1 + part, scene, &clusters);
+            add_below(&mut nodes, (0, 1 + part), scene, &mut clusters);
         }
         let is_empty = (0..WIDTH).all(|lane| nodes[0].lane_box(lane).is_none());
         Self { nodes: if is_empty { Vec::new() } else { nodes } }
@@ -184,17 +188,52 @@ fn cluster_block(
     clusters
 }
 
-/// Builds obvhs's binary tree over the clusters and widens it, below `lane` of the root: the inner child with the largest
-/// surface is replaced by its two children until a node has eight.
-fn add_below_root(nodes: &mut Vec<WideNode>, lane: usize, scene: &Scene, clusters: &[Cluster]) {
+/// Builds the tree over `clusters` below a lane of a node that exists.
+fn add_below(nodes: &mut Vec<WideNode>, (node, lane): (usize, usize), scene: &Scene, clusters: &mut [Cluster]) {
     if clusters.is_empty() {
         return;
     }
-    let binary = binary_tree(clusters);
     let bounds = clusters.iter().map(|cluster| cluster.child_box).fold(Box3::EMPTY, Box3::union);
     let top = nodes.len();
-    nodes[0].set(lane, bounds, Child::Node(top as u32));
+    nodes[node].set(lane, bounds, Child::Node(top as u32));
     nodes.push(WideNode::EMPTY);
+    if clusters.len() > MAX_CLUSTERS {
+        for (lane, part) in eighths(clusters).into_iter().enumerate() {
+            add_below(nodes, (top, lane), scene, part);
+        }
+    } else {
+        widen(nodes, top, scene, clusters);
+    }
+}
+
+/// Halves the clusters by their centres along the widest axis, and the halves, and theirs.
+fn eighths(clusters: &mut [Cluster]) -> Vec<&mut [Cluster]> {
+    let mut parts = vec![clusters];
+    while parts.len() < WIDTH {
+        parts = parts.into_iter().flat_map(|part| halves(part)).collect();
+    }
+    parts
+}
+
+fn halves(clusters: &mut [Cluster]) -> [&mut [Cluster]; 2] {
+    let centre = |cluster: &Cluster| cluster.child_box.min + cluster.child_box.max;
+    let centres = clusters.iter().map(centre).map(|point| Box3 { min: point, max: point });
+    let extent = centres.fold(Box3::EMPTY, Box3::union);
+    let axis = (extent.max - extent.min).max_position();
+    // The first member decides between equal centres, so that the halves are the same however they were sorted before.
+    let place = |cluster: &Cluster| (centre(cluster)[axis], cluster.first);
+    let middle = clusters.len() / 2;
+    clusters.select_nth_unstable_by(middle, |a, b| {
+        let (a, b) = (place(a), place(b));
+        a.0.total_cmp(&b.0).then(a.1.cmp(&b.1))
+    });
+    clusters.split_at_mut(middle).into()
+}
+
+/// Builds obvhs's binary tree over the clusters and widens it from node `top` on: the inner child with the largest
+/// surface is replaced by its two children until a node has eight.
+fn widen(nodes: &mut Vec<WideNode>, top: usize, scene: &Scene, clusters: &[Cluster]) {
+    let binary = binary_tree(clusters);
     // An explicit stack: the depth of a tree over hostile input is bounded only by its size.
     let mut pending = vec![(top, Slot::of(0, &binary, clusters))];
     while let Some((target, slot)) = pending.pop() {

@@ -63,6 +63,20 @@ fn every_primitive_stands_in_one_leaf_inside_its_boxes() {
 }
 
 #[test]
+fn a_scene_that_is_built_in_parts_makes_a_valid_tree_whatever_the_thread_count() {
+    // More clusters than obvhs is given at once: random sizes and places cluster badly.
+    let tree = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a thread pool");
+        pool.install(|| build(Scene { splats: cloud(200_000, [1e-3, 0.05], 1, 5), ..Scene::default() }))
+    };
+    let (scene, bvh) = tree(1);
+    assert_valid(&scene, &bvh);
+    let (other, same) = tree(2);
+    assert_eq!(scene.splats.means, other.splats.means);
+    assert_eq!(format!("{:?}", bvh.nodes), format!("{:?}", same.nodes));
+}
+
+#[test]
 fn none_one_and_two_primitives_make_valid_trees() {
     for count in 0..3 {
         let scene =
