@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use bytesize::ByteSize;
 use clap::Args;
 use splatprobe::job::{
     Background, Crop, Footprint, Frame, HdrEncoding, Job, MeshInput, MissingTexture, Order, OutputKind, Pixel,
@@ -212,6 +213,10 @@ pub struct Bake {
     /// Begin no probe after so many seconds; exit code 3 then says that the manifest names probes without images.
     #[arg(long, value_name = "SECONDS", help_heading = "Running")]
     time_budget: Option<f64>,
+    /// Keep the scene, its tree and the cubemaps under way within this, such as 4GiB: fewer probes are baked at a time, and
+    /// what cannot fit is refused before it is read [default: no limit].
+    #[arg(long, value_name = "SIZE", help_heading = "Running")]
+    max_memory: Option<ByteSize>,
 }
 
 impl Bake {
@@ -280,6 +285,7 @@ impl Bake {
         job.shard = self.shard.or(job.shard);
         job.depfile = self.depfile.or(job.depfile);
         job.time_budget = self.time_budget.or(job.time_budget);
+        job.max_memory = self.max_memory.or(job.max_memory);
         job.order = self.order.or(job.order);
 
         set(&mut job.placement.overlap, self.overlap);
@@ -392,7 +398,7 @@ mod tests {
             --min-opacity 0.25 --lod 2 --mesh c.glb --mesh-transform t=1,2,3 --mesh-scene 1 --variant red --missing-texture magenta --background 1,2,3 -o out --pixel float --distance --stats s.json --outputs mips,latlong-hdr --mips 5 --roughness-curve unity --hdr-encoding rgb9e5 --exposure -1.5 --match-tonemapper pbr-neutral --highlight-expansion 8 --sh-degree 3 --sh-window --calibration \
             --bounds -1,-2,-3,1,2,3 --grid 2,3,4 --overlap 0.5 --face-size 16 --samples 2 --footprint train:800 --order cameraDistance \
             --sh-direction ray --t-cutoff 0 --t-near 0.5 --surface path --noise 0.5 --max-paths 64 --tracer reference --threads 3 --progress json \
-            --cache kept --no-cache --shard 2/7 --depfile out.d --time-budget 1.5";
+            --cache kept --no-cache --shard 2/7 --depfile out.d --time-budget 1.5 --max-memory 3GiB";
         let line: Vec<&str> = [path.to_str().unwrap()].into_iter().chain(line.split_whitespace()).collect();
         let expected = r#"{
             "splats": [{"path": "b.ply", "frame": "rub", "transform": {"scale": [2, 2, 2]}, "encoding": "lin-scene",
@@ -403,7 +409,7 @@ mod tests {
             "pixel": "float", "distance": true, "outputs": ["mips", "latlong-hdr"], "mips": 5, "roughnessCurve": "unity",
             "hdrEncoding": "rgb9e5", "exposure": -1.5, "matchTonemapper": "pbr-neutral", "highlightExpansion": 8, "shDegree": 3, "shWindow": true, "calibration": true, "faceSize": 16, "samples": 2, "footprint": "train:800", "order": "cameraDistance",
             "shDirection": "ray", "tCutoff": 0, "tNear": 0.5, "surface": "path", "noise": 0.5, "maxPaths": 64, "tracer": "reference",
-            "cache": "kept", "noCache": true, "shard": "2/7", "depfile": "out.d", "timeBudget": 1.5,
+            "cache": "kept", "noCache": true, "shard": "2/7", "depfile": "out.d", "timeBudget": 1.5, "maxMemory": "3.0 GiB",
             "placement": {"bounds": [-1, -2, -3, 1, 2, 3], "grid": [2, 3, 4], "overlap": 0.5}
         }"#;
         assert_eq!(job(&line).unwrap(), serde_json::from_str(expected).unwrap());

@@ -20,6 +20,7 @@ mod tangents;
 mod usd;
 
 use std::fs::File;
+use std::ops::Range;
 use std::path::Path;
 
 use glam::DVec3;
@@ -58,6 +59,17 @@ pub fn load_scene(splats: &[SplatInput], meshes: &[MeshInput]) -> Result<(Scene,
     let LoadedMeshes { meshes, lights, reports } = loaded_meshes;
     let scene = Scene { origin, splats: loaded.splats, meshes, lights, encoding: loaded.encoding, ..Scene::default() };
     Ok((scene, SceneReport { splats: loaded.reports, meshes: reports }))
+}
+
+/// How many Gaussians the inputs hold, and the highest degree of their spherical harmonics: of what [`load_scene`] would
+/// read, without reading it.
+///
+/// Errors as in [`load_scene`], as far as the files' structure shows them.
+pub fn count_gaussians(splats: &[SplatInput], meshes: &[MeshInput]) -> Result<(usize, u8)> {
+    let requests = Requests::new(splats, meshes)?;
+    let files: Vec<SplatFile> = requests.splats.iter().map(open).collect::<Result<_>>()?;
+    let degree = files.iter().map(SplatFile::sh_degree).max().unwrap_or(0);
+    Ok((files.iter().map(SplatFile::count).sum(), degree))
 }
 
 /// What is in the splat file at `path`, understood with the format's defaults. Errors as in [`load_scene`].
@@ -170,6 +182,15 @@ fn open(request: &SplatRequest) -> Result<SplatFile> {
 /// Whether `bytes` are a glTF file; a SOG's JSON has an "asset", too.
 fn is_gltf(bytes: &[u8]) -> bool {
     gltf::is_gltf(bytes) && !sog::is_sog(bytes) && !sog::is_streamed(bytes)
+}
+
+/// Lets the system take back the memory of a part of a file that has been decoded; reading it again brings it back. Of a
+/// scene as large as memory, file and Gaussians would otherwise both be resident: 5.6 GB instead of 4.1 for 12 million
+/// Gaussians of SH degree 3.
+fn release(bytes: &Mmap, range: Range<usize>) {
+    // SAFETY: the map is of a file and never written to, so that the bytes are the same when they are read again.
+    #[cfg(unix)]
+    let _ = unsafe { bytes.unchecked_advise_range(memmap2::UncheckedAdvice::DontNeed, range.start, range.len()) };
 }
 
 /// Maps a regular file into memory.

@@ -131,7 +131,8 @@ impl SplatSource for Ply {
         let mut gaussian = FileGaussian::default();
         match &self.rows {
             Rows::Binary { start, size, offsets } => {
-                let rows = self.bytes[start + first * size..start + end * size].chunks_exact(*size);
+                let chunk = start + first * size..start + end * size;
+                let rows = self.bytes[chunk.clone()].chunks_exact(*size);
                 // The common case apart, so that the compiler sees a plain load for each value.
                 if self.encoding == Encoding::LittleEndian && self.types.iter().all(|&scalar| scalar == Scalar::F32) {
                     for row in rows {
@@ -147,6 +148,7 @@ impl SplatSource for Ply {
                         sink(&mut gaussian);
                     }
                 }
+                super::release(&self.bytes, chunk);
             }
             Rows::Ascii { chunk_starts } => {
                 let mut values = vec![0.0; self.types.len()];

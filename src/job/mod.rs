@@ -13,6 +13,7 @@ mod validate;
 
 use std::path::PathBuf;
 
+use bytesize::ByteSize;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -290,6 +291,11 @@ pub struct Job {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub time_budget: Option<f64>,
+    /// Memory that the scene, its tree and the cubemaps under way may take, such as `4GiB`: fewer probes are baked at a
+    /// time, and what cannot fit is refused before it is read. Mapped files and textures come on top. Default: no limit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Option<String>")]
+    pub max_memory: Option<ByteSize>,
 }
 
 impl Default for Job {
@@ -332,6 +338,7 @@ impl Default for Job {
             shard: None,
             depfile: None,
             time_budget: None,
+            max_memory: None,
         }
     }
 }
@@ -359,6 +366,7 @@ impl Job {
             shard: None,
             depfile: None,
             time_budget: None,
+            max_memory: None,
             ..self.clone()
         };
         let paths = job

@@ -1,6 +1,7 @@
 //! The whole bake, top to bottom.
 
 mod background;
+mod ceiling;
 mod depfile;
 mod files;
 mod inputs;

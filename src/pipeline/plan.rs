@@ -8,6 +8,7 @@ use std::time::Instant;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+use super::ceiling;
 use super::inputs::Content;
 use super::memory::{Memory, Part, Parts};
 use super::placement::place_probes;
@@ -40,6 +41,7 @@ impl Loaded {
     /// Reads the inputs of `job` and builds the tree.
     pub fn read(job: &Job) -> Result<Self> {
         let begun = Instant::now();
+        ceiling::check_inputs(job)?;
         let (mut scene, report) = ingest::load_scene(&job.splats, &job.meshes)?;
         super::background::set(&mut scene, &job.background)?;
         let loaded = Instant::now();

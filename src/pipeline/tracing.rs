@@ -7,6 +7,7 @@ use std::time::Instant;
 
 use glam::DVec3;
 
+use super::ceiling;
 use super::inputs::Content;
 use super::memory::{Memory, Parts, Site};
 use super::output::Output;
@@ -86,6 +87,7 @@ impl Tracing<'_> {
             (None, Some(_)) => settings.probes_at_a_time(),
             (None, None) => missing.len(),
         };
+        let step = step.min(ceiling::probes_at_a_time(self.job, loaded)?.unwrap_or(step));
         let parts = self.plan.parts(self.content);
         let mut done = Done::default();
         self.progress.begin(missing.len(), missing.len() as u64 * rays_per_probe);

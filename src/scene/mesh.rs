@@ -75,6 +75,15 @@ impl Meshes {
         self.part_starts.partition_point(|&start| start <= vertex).saturating_sub(1)
     }
 
+    /// Bytes of vertices and triangles.
+    pub fn bytes(&self) -> usize {
+        size_of_val(&*self.positions)
+            + size_of_val(&*self.attributes)
+            + size_of_val(&*self.tangents)
+            + size_of_val(&*self.triangles)
+            + size_of_val(&*self.triangle_materials)
+    }
+
     /// The tangent of vertex `v`; zero when it has none.
     pub fn tangent_of(&self, v: usize) -> Vec4 {
         self.tangents.get(v).copied().unwrap_or(Vec4::ZERO)

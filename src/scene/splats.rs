@@ -43,6 +43,11 @@ impl Splats {
         self.means.is_empty()
     }
 
+    /// Bytes that a Gaussian of SH degree `degree` takes.
+    pub fn bytes_each(degree: u8) -> u64 {
+        (size_of::<Vec3>() + size_of::<Mat3>() + (1 + 3 * sh::coefficient_count(degree)) * size_of::<f32>()) as u64
+    }
+
     /// Coefficients per Gaussian: three channels of `(degree + 1)^2`.
     pub fn sh_stride(&self) -> usize {
         3 * sh::coefficient_count(self.sh_degree)

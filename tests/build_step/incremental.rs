@@ -43,6 +43,16 @@ fn other_encodings_are_made_without_rays_and_further_probes_are_baked_alone() {
 }
 
 #[test]
+fn a_ceiling_on_memory_changes_when_probes_are_baked_but_not_what_is_written() {
+    let folder = few();
+    let bake = "bake --splats few.ply --grid 3,1,1 --bounds -1,-1,-1,1,1,1 --face-size 32";
+    run(folder.path(), &format!("{bake} -o free"));
+    // 6 x 32 x 32 texels of 64 bytes are 384 KiB: one probe fits beside the scene, and two do not.
+    run(folder.path(), &format!("{bake} -o narrow --max-memory 600KiB"));
+    assert_same(folder.path(), "free", "narrow");
+}
+
+#[test]
 fn without_a_cache_nothing_but_the_result_is_left() {
     let folder = few();
     run(folder.path(), "bake --splats few.ply --probe 0,0,0 --face-size 8 -o out");

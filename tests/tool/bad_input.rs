@@ -44,6 +44,17 @@ fn refused(folder: &Path, line: &str, code: i32, said: &[&str]) {
 }
 
 #[test]
+fn what_memory_does_not_hold_is_refused() {
+    let folder = baked();
+    let bake = "bake --splats one.ply --probe 0,0,0 -o out";
+    refused(folder.path(), &format!("{bake} --max-memory 100"), 2, &["--max-memory", "1 Gaussians", "100 B"]);
+    // 6 x 512 x 512 texels of 64 bytes are 96 MiB.
+    let big = format!("{bake} --face-size 512 --max-memory 64MiB");
+    refused(folder.path(), &big, 2, &["--max-memory", "512 texels", "64.0 MiB", "smaller faces"]);
+    refused(folder.path(), &format!("{bake} --max-memory much"), 2, &["--max-memory", "much"]);
+}
+
+#[test]
 fn broken_splat_files_are_refused_by_name_and_place() {
     let folder = baked();
     let row = "0 0 2 0 0 0 4 0 0 0 1 0 0 0\n";
