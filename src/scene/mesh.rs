@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use glam::{Vec2, Vec3, Vec4};
 
+use super::bounds::Bounds;
 use super::material::Material;
 use super::texture::Texture;
 use crate::Result;
@@ -73,6 +74,15 @@ impl Meshes {
     pub fn part_of(&self, i: usize) -> usize {
         let vertex = self.triangles[i][0];
         self.part_starts.partition_point(|&start| start <= vertex).saturating_sub(1)
+    }
+
+    /// The box of each part's vertices, in metres relative to the scene origin; `None` for a part without any. Meshes whose
+    /// parts are not known are one.
+    pub fn part_bounds(&self) -> Vec<Option<Bounds>> {
+        let first = if self.part_starts.is_empty() { &[0][..] } else { &self.part_starts };
+        let ends = first.iter().skip(1).copied().chain([self.positions.len() as u32]);
+        let parts = first.iter().zip(ends).map(|(&start, end)| &self.positions[start as usize..end as usize]);
+        parts.map(|part| Bounds::of(part.iter().map(|position| position.as_dvec3()))).collect()
     }
 
     /// The tangent of vertex `v`; zero when it has none.
