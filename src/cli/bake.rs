@@ -245,28 +245,11 @@ impl Bake {
         describe("--variant", self.variant, &mut job.meshes, |input, name| input.variant = Some(name))?;
         describe("--missing-texture", self.missing_texture, &mut job.meshes, |input, it| input.missing_texture = it)?;
 
-        // A flag for one kind of placement replaces the other kind in the job file.
-        if self.adaptive == Some(true) {
-            job.placement.grid = None;
-            job.placement.probes.clear();
-            job.placement.placed = None;
-        }
-        if self.placed.is_some() {
-            job.placement.grid = None;
-            job.placement.probes.clear();
+        // Flags for kinds of placement replace what the job file says of any.
+        if self.adaptive == Some(true) || self.placed.is_some() || self.grid.is_some() || !self.probe.is_empty() {
             job.placement.adaptive = false;
             job.placement.placed = self.placed;
-        }
-        if self.grid.is_some() {
-            job.placement.probes.clear();
-            job.placement.placed = None;
-            job.placement.adaptive = false;
             job.placement.grid = self.grid;
-        }
-        if !self.probe.is_empty() {
-            job.placement.grid = None;
-            job.placement.placed = None;
-            job.placement.adaptive = false;
             job.placement.probes = self.probe;
         }
         if !self.levels.is_empty() {

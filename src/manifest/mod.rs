@@ -6,7 +6,7 @@ mod model;
 mod verify;
 
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
@@ -17,7 +17,7 @@ pub use model::{
     Colour, DisplayTransform, FileFormat, FileRecord, FileRole, Frame, Influence, InputRecord, Layout, Manifest,
     MipRecord, PixelFormat, ProbeRecord, ShRecord, ShardRecord, TexelSampling, WindowedSh, path_in,
 };
-pub use verify::verify;
+pub use verify::{check, verify};
 
 /// Version of the manifest's format; readers refuse others.
 pub const FORMAT_VERSION: u32 = 1;
@@ -49,6 +49,11 @@ impl Manifest {
     pub fn write(&self, path: &Path) -> Result<()> {
         write_json(path, self)
     }
+}
+
+/// The manifest of the bake at `path`, which is its folder or the manifest itself.
+pub fn path_of(path: &Path) -> PathBuf {
+    if path.is_dir() { path.join(FILE_NAME) } else { path.to_owned() }
 }
 
 /// Writes `value` as indented JSON with a final newline beside `path` and renames it.

@@ -33,7 +33,7 @@ pub fn merge(output: &Path, parts: &[PathBuf]) -> Result<PathBuf> {
     }
     check_complete(first, &parts)?;
     for part in &parts {
-        part.check_files()?;
+        manifest::check(&part.path)?;
     }
     let workspace = Workspace::begin(output)?;
     let staging = workspace.staging();
@@ -65,7 +65,7 @@ pub fn merge(output: &Path, parts: &[PathBuf]) -> Result<PathBuf> {
 
 impl Part {
     fn read(path: &Path) -> Result<Self> {
-        let path = if path.is_dir() { path.join(manifest::FILE_NAME) } else { path.to_owned() };
+        let path = manifest::path_of(path);
         let mut manifest = Manifest::read(&path)?;
         let folder = path.parent().unwrap_or(Path::new("")).to_owned();
         let fault = |place: &str, what: &str| Err(Error::invalid(&path, place, what));
@@ -101,14 +101,6 @@ impl Part {
                 let what = format!("differs from {}: these are not parts of one bake", first.path.display());
                 Err(Error::invalid(&self.path, place, what))
             }
-        }
-    }
-
-    /// Fails unless all files are what the manifest says.
-    fn check_files(&self) -> Result<()> {
-        match manifest::verify(&self.path)?.into_iter().next() {
-            Some(problem) => Err(problem),
-            None => Ok(()),
         }
     }
 }
