@@ -389,7 +389,8 @@ mod tests {
             "cache": "kept", "noCache": true, "shard": "2/7", "depfile": "out.d", "timeBudget": 1.5,
             "placement": {"bounds": [-1, -2, -3, 1, 2, 3], "grid": [2, 3, 4], "overlap": 0.5}
         }"#;
-        assert_eq!(job(&line).unwrap(), serde_json::from_str(expected).unwrap());
+        let expected = Job { file: Some(path.clone()), ..serde_json::from_str(expected).unwrap() };
+        assert_eq!(job(&line).unwrap(), expected);
     }
 
     #[test]
@@ -400,7 +401,8 @@ mod tests {
         let line = "--adaptive --levels -1.5,2 --error 0.25 --max-probes 7 --time 1.5 --held-out 3";
         let line: Vec<&str> = [path.to_str().unwrap()].into_iter().chain(line.split_whitespace()).collect();
         let expected = r#"{"placement": {"adaptive": true, "levels": [-1.5, 2], "error": 0.25, "maxProbes": 7, "time": 1.5, "heldOut": 3}}"#;
-        assert_eq!(job(&line).unwrap(), serde_json::from_str(expected).unwrap());
+        let expected = Job { file: Some(path.clone()), ..serde_json::from_str(expected).unwrap() };
+        assert_eq!(job(&line).unwrap(), expected);
         let placed = job(&[path.to_str().unwrap(), "--placed", "plan/manifest.json"]).unwrap().placement;
         assert_eq!((placed.placed, placed.grid), (Some("plan/manifest.json".into()), None));
         assert!(!job(&["--adaptive=false", "--probe", "0,0,0"]).unwrap().placement.adaptive);
