@@ -23,7 +23,7 @@ struct Part {
 /// of its manifest.
 ///
 /// Fails with [`Error::Request`] when a part is missing or given twice, [`Error::Invalid`] when one is of another bake
-/// (other inputs, settings or version), incomplete or damaged, [`Error::Busy`] while another process has the folder, and
+/// (other inputs, settings, version or instruction level), incomplete or damaged, [`Error::Busy`] while another process has the folder, and
 /// [`Error::Write`]. Earlier output is then untouched.
 pub fn merge(output: &Path, parts: &[PathBuf]) -> Result<PathBuf> {
     let parts = parts.iter().map(|path| Part::read(path)).collect::<Result<Vec<_>>>()?;
@@ -95,6 +95,16 @@ impl Part {
             ("/shard/placement", self.shard.placement == first.shard.placement),
             ("/shard/part", self.shard.part.count() == first.shard.part.count()),
         ];
+        if own.instruction_level != other.instruction_level {
+            let what = format!(
+                "{}, but {} was baked with {}: their numbers differ in the last digits; bake all parts on machines of one \
+                 instruction level",
+                own.instruction_level,
+                first.path.display(),
+                other.instruction_level
+            );
+            return Err(Error::invalid(&self.path, "/instructionLevel", what));
+        }
         match same.into_iter().find(|(_, is_same)| !is_same) {
             None => Ok(()),
             Some((place, _)) => {
