@@ -1,11 +1,12 @@
 //! What was baked, for engines: `manifest.json` (schemas/manifest.schema.json).
 //!
-//! The manifest holds nothing that differs between two runs of the same job: no times, no machine, no absolute path.
+//! The manifest holds nothing that differs between two runs of the same job: no times, no absolute path, and of the machine
+//! only the instruction level, on which the bytes of images depend.
 
 mod model;
 mod verify;
 
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -25,16 +26,26 @@ pub const FORMAT_VERSION: u32 = 1;
 /// The manifest's name in the output folder.
 pub const FILE_NAME: &str = "manifest.json";
 
+/// The folder inside the output folder in which a bake works, and which is there while it runs or has work left. Engines
+/// and importers pass over names that begin with a dot.
+pub const WORK_FOLDER: &str = ".splatprobe";
+
 impl Manifest {
     /// Reads a manifest. Fails when it cannot be read, is not JSON of the schema (the error names line and column), or is
-    /// of another [`FORMAT_VERSION`].
+    /// of another [`FORMAT_VERSION`], and where it is missing because a bake has not ended.
     pub fn read(path: &Path) -> Result<Self> {
         #[derive(Deserialize)]
         #[serde(rename_all = "camelCase")]
         struct Version {
             format_version: u32,
         }
-        let text = std::fs::read_to_string(path).map_err(|source| Error::read(path, source))?;
+        let text = std::fs::read_to_string(path).map_err(|source| {
+            if source.kind() == ErrorKind::NotFound && path.with_file_name(WORK_FOLDER).is_dir() {
+                let what = "not there: the bake to this folder was interrupted, or runs still; bake again";
+                return Error::invalid(path, "manifest", what);
+            }
+            Error::read(path, source)
+        })?;
         let broken = |error: serde_json::Error| Error::invalid(path, "manifest", error.to_string());
         // The version comes first: what else another version holds is unknown.
         let Version { format_version } = serde_json::from_str(&text).map_err(broken)?;
