@@ -36,6 +36,8 @@ impl Progress for Bar {
         self.0.set_style(BarStyle::with_template(template).unwrap_or_else(|_| BarStyle::default_bar()));
         self.0.set_message(format!("{probes} probes"));
         self.0.set_length(rays);
+        // Rate and time left are of the rays, not of what went before.
+        self.0.reset();
     }
 
     fn advance(&self, rays: u64) {
