@@ -12,6 +12,7 @@
 #[allow(dead_code)]
 mod scenes;
 
+use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use glam::{DVec3, Vec3};
@@ -79,7 +80,7 @@ fn main() {
         report(&format!("path, {count}"), start, &seen);
     }
     let start = Instant::now();
-    let lit = LocallyLitSurfaces::new(&scene, &bvh, trace).expect("finite light");
+    let lit = LocallyLitSurfaces::new(&scene, &bvh, trace, &AtomicBool::new(false)).expect("finite light");
     let seen = image(&scene, &bvh, &lit, middle);
     report("probe", start, &seen);
 }

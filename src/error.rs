@@ -38,7 +38,8 @@ pub enum Error {
         /// The operating system's answer.
         source: std::io::Error,
     },
-    /// An output could not be written. Earlier output is untouched.
+    /// An output could not be written. Earlier output is untouched, unless files of a bake could not be moved to their places:
+    /// what is there then has no manifest.
     Write {
         /// The file or folder.
         path: PathBuf,

@@ -3,8 +3,12 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Hears how a bake goes. Called from any thread, in any order between `begin` and `finish`; `warn` at any time.
+/// Hears how a bake goes. Called from any thread, in any order between `begin` and `finish`; `stage` before, and `warn` at
+/// any time.
 pub trait Progress: Sync {
+    /// Something begins that takes a while before the first ray of a probe: `what`.
+    fn stage(&self, _what: &str) {}
+
     /// A bake of `probes` probes and `rays` rays in all begins. Rays of tiles that are kept from an earlier bake count.
     fn begin(&self, probes: usize, rays: u64);
 
@@ -39,6 +43,11 @@ impl Progress for Silent {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "event", rename_all = "camelCase")]
 pub enum ProgressEvent {
+    /// Something begins that takes a while before tracing does.
+    Stage {
+        /// What it is, for people.
+        message: String,
+    },
     /// Tracing begins; the counts of what is done are 0.
     Begin(ProgressState),
     /// It goes on; at most once a second.

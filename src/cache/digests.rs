@@ -90,6 +90,11 @@ impl<'a> Digests<'a> {
         Ok(digest)
     }
 
+    /// The digest of the file at `path`; `None` where there is nothing. Fails as [`Self::of`] does.
+    pub fn of_existing(&self, path: &Path) -> Result<Option<Digest>> {
+        path.exists().then(|| self.of(path)).transpose()
+    }
+
     fn kept(&self, absolute: &Path) -> Option<Kept> {
         let seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner).get(absolute).cloned();
         seen.or_else(|| serde_json::from_slice(&self.store?.get(&key_of(absolute))?).ok())

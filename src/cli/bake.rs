@@ -250,28 +250,11 @@ impl Bake {
         describe("--variant", self.variant, &mut job.meshes, |input, name| input.variant = Some(name))?;
         describe("--missing-texture", self.missing_texture, &mut job.meshes, |input, it| input.missing_texture = it)?;
 
-        // A flag for one kind of placement replaces the other kind in the job file.
-        if self.adaptive == Some(true) {
-            job.placement.grid = None;
-            job.placement.probes.clear();
-            job.placement.placed = None;
-        }
-        if self.placed.is_some() {
-            job.placement.grid = None;
-            job.placement.probes.clear();
+        // Flags for kinds of placement replace what the job file says of any.
+        if self.adaptive == Some(true) || self.placed.is_some() || self.grid.is_some() || !self.probe.is_empty() {
             job.placement.adaptive = false;
             job.placement.placed = self.placed;
-        }
-        if self.grid.is_some() {
-            job.placement.probes.clear();
-            job.placement.placed = None;
-            job.placement.adaptive = false;
             job.placement.grid = self.grid;
-        }
-        if !self.probe.is_empty() {
-            job.placement.grid = None;
-            job.placement.placed = None;
-            job.placement.adaptive = false;
             job.placement.probes = self.probe;
         }
         if !self.levels.is_empty() {
@@ -412,7 +395,8 @@ mod tests {
             "cache": "kept", "noCache": true, "shard": "2/7", "depfile": "out.d", "timeBudget": 1.5, "maxMemory": "3.0 GiB",
             "placement": {"bounds": [-1, -2, -3, 1, 2, 3], "grid": [2, 3, 4], "overlap": 0.5}
         }"#;
-        assert_eq!(job(&line).unwrap(), serde_json::from_str(expected).unwrap());
+        let expected = Job { file: Some(path.clone()), ..serde_json::from_str(expected).unwrap() };
+        assert_eq!(job(&line).unwrap(), expected);
     }
 
     #[test]
@@ -423,7 +407,8 @@ mod tests {
         let line = "--adaptive --levels -1.5,2 --error 0.25 --max-probes 7 --time 1.5 --held-out 3";
         let line: Vec<&str> = [path.to_str().unwrap()].into_iter().chain(line.split_whitespace()).collect();
         let expected = r#"{"placement": {"adaptive": true, "levels": [-1.5, 2], "error": 0.25, "maxProbes": 7, "time": 1.5, "heldOut": 3}}"#;
-        assert_eq!(job(&line).unwrap(), serde_json::from_str(expected).unwrap());
+        let expected = Job { file: Some(path.clone()), ..serde_json::from_str(expected).unwrap() };
+        assert_eq!(job(&line).unwrap(), expected);
         let placed = job(&[path.to_str().unwrap(), "--placed", "plan/manifest.json"]).unwrap().placement;
         assert_eq!((placed.placed, placed.grid), (Some("plan/manifest.json".into()), None));
         assert!(!job(&["--adaptive=false", "--probe", "0,0,0"]).unwrap().placement.adaptive);

@@ -26,11 +26,18 @@ pub fn reporter(style: ProgressStyle) -> Box<dyn Progress> {
 struct Bar(ProgressBar);
 
 impl Progress for Bar {
+    fn stage(&self, what: &str) {
+        self.0.set_style(BarStyle::default_spinner());
+        self.0.set_message(what.to_owned());
+    }
+
     fn begin(&self, probes: usize, rays: u64) {
         let template = "{msg} {wide_bar} {percent}% {human_pos} rays, {per_sec}, {eta} left";
         self.0.set_style(BarStyle::with_template(template).unwrap_or_else(|_| BarStyle::default_bar()));
         self.0.set_message(format!("{probes} probes"));
         self.0.set_length(rays);
+        // Rate and time left are of the rays, not of what went before.
+        self.0.reset();
     }
 
     fn advance(&self, rays: u64) {
@@ -81,6 +88,10 @@ impl Lines {
 }
 
 impl Progress for Lines {
+    fn stage(&self, what: &str) {
+        super::status((self.format)(&ProgressEvent::Stage { message: what.into() }));
+    }
+
     fn begin(&self, probes: usize, rays: u64) {
         self.update(ProgressEvent::Begin, true, |meter| {
             (meter.state.probes, meter.state.rays, meter.begun) = (probes, rays, Instant::now());
@@ -106,6 +117,7 @@ impl Progress for Lines {
 
 fn plain(event: &ProgressEvent) -> String {
     match event {
+        ProgressEvent::Stage { message } => message.clone(),
         ProgressEvent::Begin(ProgressState { probes, rays, .. }) => format!("{probes} probes, {rays} rays"),
         ProgressEvent::Progress(state) | ProgressEvent::Finish(state) => {
             let ProgressState { probes, probes_done, rays, rays_done, seconds } = *state;

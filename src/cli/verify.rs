@@ -16,7 +16,7 @@ pub struct Verify {
 
 impl Verify {
     pub fn run(self) -> Result<String> {
-        let path = if self.manifest.is_dir() { self.manifest.join(manifest::FILE_NAME) } else { self.manifest };
+        let path = manifest::path_of(&self.manifest);
         let problems = manifest::verify(&path)?;
         for problem in &problems {
             super::status(format_args!("splatprobe: {problem}"));

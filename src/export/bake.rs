@@ -25,10 +25,8 @@ impl Bake {
     /// Fails with the first problem that [`manifest::verify`] finds, and where the bake has no probes or images, or probes
     /// that stand nowhere or whose ids cannot name files and objects.
     pub fn open(path: &Path) -> Result<Self> {
-        let path = if path.is_dir() { path.join(manifest::FILE_NAME) } else { path.to_owned() };
-        if let Some(problem) = manifest::verify(&path)?.into_iter().next() {
-            return Err(problem);
-        }
+        let path = manifest::path_of(path);
+        manifest::check(&path)?;
         let manifest = Manifest::read(&path)?;
         if manifest.probes.iter().all(|probe| probe.files.is_empty()) {
             return Err(Error::unsupported(path, "no images to export, only a placement: bake the job"));

@@ -10,7 +10,7 @@ use super::bake::Bake;
 use super::output::Output;
 use crate::Result;
 use crate::encode::ktx1;
-use crate::filter::{Prefilter, RgbCubemap};
+use crate::filter::{Prefilter, RgbCubemap, mip_count};
 use crate::job::RoughnessCurve;
 use crate::manifest::ShRecord;
 
@@ -65,8 +65,7 @@ pub fn write(bake: &Bake, output: &mut Output) -> Result<()> {
 
 /// Mips of a chain from `size` as cmgen counts them.
 fn levels(size: u32) -> u32 {
-    let least = if size > MIN_LOD_SIZE { MIN_LOD_SIZE.ilog2() } else { 0 };
-    size.ilog2() + 1 - least
+    mip_count(size, if size > MIN_LOD_SIZE { MIN_LOD_SIZE } else { 1 })
 }
 
 /// The windowed coefficients, where the bake has them: cmgen takes rings out too.

@@ -14,7 +14,7 @@ use crate::Result;
 use crate::encode::preview::write_png;
 use crate::encode::rgbd;
 use crate::encode::slots::Slots;
-use crate::filter::Prefilter;
+use crate::filter::{Prefilter, mip_count};
 use crate::job::RoughnessCurve;
 use crate::manifest::ShRecord;
 
@@ -35,8 +35,7 @@ pub fn write(bake: &Bake, output: &mut Output) -> Result<()> {
     for (index, probe) in manifest.probes.iter().enumerate() {
         let cubemap = output.power_of_two(&probe.id, bake.cubemap(probe)?, MAX_FACE_SIZE);
         let size = cubemap.size();
-        let mips = 1 + (size / MIN_SIZE).max(1).ilog2();
-        let chain = Prefilter::new(cubemap).chain(RoughnessCurve::Linear, mips);
+        let chain = Prefilter::new(cubemap).chain(RoughnessCurve::Linear, mip_count(size, MIN_SIZE));
         let mut specular = Vec::with_capacity(chain.len());
         for (level, mip) in chain.iter().enumerate() {
             let texels = Slots::NEGATED_X.texels(&mip.cubemap);

@@ -10,5 +10,6 @@ pub mod sh;
 
 pub use cubemap::RgbCubemap;
 pub use prefilter::Prefilter;
+pub use roughness::{ROUGHEST_SIZE, mip_count};
 pub use sampler::Sampler;
 pub use sh::ShRadiance;

@@ -2,6 +2,14 @@
 
 use crate::job::RoughnessCurve;
 
+/// Texels along an edge of the roughest mip for runtimes that do not say: a lobe of roughness 1 is no finer.
+pub const ROUGHEST_SIZE: u32 = 4;
+
+/// Mips of a chain from faces of `face_size` texels along an edge by halves down to `least`.
+pub fn mip_count(face_size: u32, least: u32) -> u32 {
+    1 + (face_size / least).max(1).ilog2()
+}
+
 impl RoughnessCurve {
     /// Perceptual roughness of mip `index` of `count`, whose faces have `face_size` texels along an edge.
     pub fn roughness(self, index: u32, count: u32, face_size: u32) -> f64 {

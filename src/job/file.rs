@@ -26,6 +26,7 @@ impl Job {
         for path in inputs.chain(background).chain(outputs.into_iter().flatten()) {
             resolve(folder, path);
         }
+        job.file = Some(path.to_owned());
         Ok(job)
     }
 }
@@ -84,7 +85,7 @@ mod tests {
     fn a_job_survives_its_own_json() {
         let text = r#"{"splats": [{"path": "/a.ply", "frame": "rdf", "encoding": "lin-scene"}], "faceSize": 64,
             "placement": {"probes": [[1, 2, 3]]}, "threads": 3, "order": "cameraDistance"}"#;
-        let job = load(text).1.unwrap();
+        let job = Job { file: None, ..load(text).1.unwrap() };
         assert_eq!(serde_json::from_str::<Job>(&serde_json::to_string(&job).unwrap()).unwrap(), job);
     }
 }

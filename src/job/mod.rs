@@ -175,6 +175,9 @@ impl Default for Placement {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, rename_all = "camelCase", default)]
 pub struct Job {
+    /// The file that it was read from, which is an input of the bake like those that it names.
+    #[serde(skip)]
+    pub file: Option<PathBuf>,
     /// Splat files; all are one scene. What meshes they hold comes along, under the same transform, unless `meshes` names
     /// the file too. Default: none.
     pub splats: Vec<SplatInput>,
@@ -301,6 +304,7 @@ pub struct Job {
 impl Default for Job {
     fn default() -> Self {
         Self {
+            file: None,
             splats: Vec::new(),
             meshes: Vec::new(),
             output: None,
@@ -357,6 +361,7 @@ impl Job {
     /// path only the file name, so that a bake's manifest does not depend on where or how it was run.
     pub fn result_settings(&self) -> Self {
         let mut job = Self {
+            file: None,
             output: None,
             threads: 0,
             progress: ProgressStyle::default(),

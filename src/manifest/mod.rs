@@ -1,12 +1,13 @@
 //! What was baked, for engines: `manifest.json` (schemas/manifest.schema.json).
 //!
-//! The manifest holds nothing that differs between two runs of the same job: no times, no machine, no absolute path.
+//! The manifest holds nothing that differs between two runs of the same job: no times, no absolute path, and of the machine
+//! only the instruction level, on which the bytes of images depend.
 
 mod model;
 mod verify;
 
-use std::io::Write;
-use std::path::Path;
+use std::io::{ErrorKind, Write};
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
@@ -17,7 +18,7 @@ pub use model::{
     Colour, DisplayTransform, FileFormat, FileRecord, FileRole, Frame, Influence, InputRecord, Layout, Manifest,
     MipRecord, PixelFormat, ProbeRecord, ShRecord, ShardRecord, TexelSampling, WindowedSh, path_in,
 };
-pub use verify::verify;
+pub use verify::{check, verify};
 
 /// Version of the manifest's format; readers refuse others.
 pub const FORMAT_VERSION: u32 = 1;
@@ -25,16 +26,26 @@ pub const FORMAT_VERSION: u32 = 1;
 /// The manifest's name in the output folder.
 pub const FILE_NAME: &str = "manifest.json";
 
+/// The folder inside the output folder in which a bake works, and which is there while it runs or has work left. Engines
+/// and importers pass over names that begin with a dot.
+pub const WORK_FOLDER: &str = ".splatprobe";
+
 impl Manifest {
     /// Reads a manifest. Fails when it cannot be read, is not JSON of the schema (the error names line and column), or is
-    /// of another [`FORMAT_VERSION`].
+    /// of another [`FORMAT_VERSION`], and where it is missing because a bake has not ended.
     pub fn read(path: &Path) -> Result<Self> {
         #[derive(Deserialize)]
         #[serde(rename_all = "camelCase")]
         struct Version {
             format_version: u32,
         }
-        let text = std::fs::read_to_string(path).map_err(|source| Error::read(path, source))?;
+        let text = std::fs::read_to_string(path).map_err(|source| {
+            if source.kind() == ErrorKind::NotFound && path.with_file_name(WORK_FOLDER).is_dir() {
+                let what = "not there: the bake to this folder was interrupted, or runs still; bake again";
+                return Error::invalid(path, "manifest", what);
+            }
+            Error::read(path, source)
+        })?;
         let broken = |error: serde_json::Error| Error::invalid(path, "manifest", error.to_string());
         // The version comes first: what else another version holds is unknown.
         let Version { format_version } = serde_json::from_str(&text).map_err(broken)?;
@@ -49,6 +60,11 @@ impl Manifest {
     pub fn write(&self, path: &Path) -> Result<()> {
         write_json(path, self)
     }
+}
+
+/// The manifest of the bake at `path`, which is its folder or the manifest itself.
+pub fn path_of(path: &Path) -> PathBuf {
+    if path.is_dir() { path.join(FILE_NAME) } else { path.to_owned() }
 }
 
 /// Writes `value` as indented JSON with a final newline beside `path` and renames it.

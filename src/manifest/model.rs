@@ -12,6 +12,7 @@ use crate::place::Network;
 use crate::place::adaptive::PlacementRecord;
 use crate::scene::SplatEncoding;
 use crate::scene::bounds::Bounds;
+use crate::trace::Level;
 
 /// A bake: what went in, how it was traced, and every probe with its files.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -21,6 +22,9 @@ pub struct Manifest {
     pub format_version: u32,
     /// The program that wrote the manifest, with its version.
     pub generator: String,
+    /// The instructions of the machine that it ran on, `scalar`, `AVX2`, `AVX-512` or `NEON`: the same job gives the same
+    /// bytes on machines of one level.
+    pub instruction_level: String,
     /// Axes and unit of every position and direction.
     pub frame: Frame,
     /// What the numbers in the images mean.
@@ -62,6 +66,7 @@ impl Manifest {
         Self {
             format_version: FORMAT_VERSION,
             generator: concat!("splatprobe ", env!("CARGO_PKG_VERSION")).into(),
+            instruction_level: Level::best().name().into(),
             frame: Frame::default(),
             colour: Colour::new(encoding, job),
             inputs,

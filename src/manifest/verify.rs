@@ -49,6 +49,11 @@ pub fn verify(path: &Path) -> Result<Vec<Error>> {
     Ok(problems)
 }
 
+/// Fails with the first problem that [`verify`] finds.
+pub fn check(path: &Path) -> Result<()> {
+    verify(path)?.into_iter().next().map_or(Ok(()), Err)
+}
+
 /// The file's path, when what the record says is sound by itself. The bound on its size also bounds what reading the file
 /// may allocate.
 fn check_record(folder: &Path, record: &FileRecord) -> std::result::Result<PathBuf, String> {

@@ -119,9 +119,9 @@ impl<'a> Inputs<'a> {
     }
 
     fn source(&self, path: &Path, files: &[PathBuf]) -> Source {
-        let paths =
+        let mut paths =
             self.job.splats.iter().map(|input| &input.path).chain(self.job.meshes.iter().map(|input| &input.path));
-        let input = paths.into_iter().position(|named| named == path).unwrap_or(0);
+        let input = paths.position(|named| named == path).unwrap_or(0);
         let folder = self.folder(input);
         let inside = |file: &PathBuf| {
             let file = file.canonicalize().unwrap_or_else(|_| file.clone());
@@ -146,10 +146,7 @@ impl<'a> Inputs<'a> {
                 let path = folder.join(file);
                 let is_own = own.is_some_and(|own| own.canonicalize().is_ok_and(|own| own == path));
                 let path = own.filter(|_| is_own).cloned().unwrap_or(path);
-                let digest = match path.exists() {
-                    true => Some(digests.of(&path)?),
-                    false => None,
-                };
+                let digest = digests.of_existing(&path)?;
                 all.insert(path, digest.clone());
                 Ok((file.clone(), digest))
             };
@@ -182,11 +179,7 @@ impl Content {
     /// Fails with [`Error::Changed`] where a file is not what it was.
     pub fn check(&self, digests: &Digests) -> Result<()> {
         for (path, expected) in &self.digests {
-            let now = match path.exists() {
-                true => Some(digests.of(path)?),
-                false => None,
-            };
-            if now != *expected {
+            if digests.of_existing(path)? != *expected {
                 return Err(Error::Changed { path: path.clone() });
             }
         }

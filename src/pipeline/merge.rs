@@ -23,7 +23,7 @@ struct Part {
 /// of its manifest.
 ///
 /// Fails with [`Error::Request`] when a part is missing or given twice, [`Error::Invalid`] when one is of another bake
-/// (other inputs, settings or version), incomplete or damaged, [`Error::Busy`] while another process has the folder, and
+/// (other inputs, settings, version or instruction level), incomplete or damaged, [`Error::Busy`] while another process has the folder, and
 /// [`Error::Write`]. Earlier output is then untouched.
 pub fn merge(output: &Path, parts: &[PathBuf]) -> Result<PathBuf> {
     let parts = parts.iter().map(|path| Part::read(path)).collect::<Result<Vec<_>>>()?;
@@ -33,7 +33,7 @@ pub fn merge(output: &Path, parts: &[PathBuf]) -> Result<PathBuf> {
     }
     check_complete(first, &parts)?;
     for part in &parts {
-        part.check_files()?;
+        manifest::check(&part.path)?;
     }
     let workspace = Workspace::begin(output)?;
     let staging = workspace.staging();
@@ -65,7 +65,7 @@ pub fn merge(output: &Path, parts: &[PathBuf]) -> Result<PathBuf> {
 
 impl Part {
     fn read(path: &Path) -> Result<Self> {
-        let path = if path.is_dir() { path.join(manifest::FILE_NAME) } else { path.to_owned() };
+        let path = manifest::path_of(path);
         let mut manifest = Manifest::read(&path)?;
         let folder = path.parent().unwrap_or(Path::new("")).to_owned();
         let fault = |place: &str, what: &str| Err(Error::invalid(&path, place, what));
@@ -95,20 +95,22 @@ impl Part {
             ("/shard/placement", self.shard.placement == first.shard.placement),
             ("/shard/part", self.shard.part.count() == first.shard.part.count()),
         ];
+        if own.instruction_level != other.instruction_level {
+            let what = format!(
+                "{}, but {} was baked with {}: their numbers differ in the last digits; bake all parts on machines of one \
+                 instruction level",
+                own.instruction_level,
+                first.path.display(),
+                other.instruction_level
+            );
+            return Err(Error::invalid(&self.path, "/instructionLevel", what));
+        }
         match same.into_iter().find(|(_, is_same)| !is_same) {
             None => Ok(()),
             Some((place, _)) => {
                 let what = format!("differs from {}: these are not parts of one bake", first.path.display());
                 Err(Error::invalid(&self.path, place, what))
             }
-        }
-    }
-
-    /// Fails unless all files are what the manifest says.
-    fn check_files(&self) -> Result<()> {
-        match manifest::verify(&self.path)?.into_iter().next() {
-            Some(problem) => Err(problem),
-            None => Ok(()),
         }
     }
 }

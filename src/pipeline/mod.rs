@@ -85,8 +85,8 @@ pub struct Seconds {
 /// Bakes `job`: reads the inputs, places the probes, traces them, and writes cubemaps and manifest to the job's output
 /// folder, and the report to its `stats` file where it names one.
 ///
-/// Output is made in a folder beside its final place and moved there when all of it is done, the manifest last. On an
-/// error, and when `cancel` is set, earlier output is untouched. What is done of a bake that ends early is kept, and the
+/// Output is made in a folder beside its final place and moved there when all of it is done, the manifest last; until then
+/// there is none. On an error before, and when `cancel` is set, earlier output is untouched. What is done of a bake that ends early is kept, and the
 /// next one goes on from there, with the same result; with a cache, also what other bakes found out is used.
 ///
 /// Fails with [`Error::Request`] when the job is wrong, the errors of [`load_scene`](crate::ingest::load_scene),
@@ -166,7 +166,8 @@ fn run(asked: &Job, job: &Job, progress: &dyn Progress, cancel: &AtomicBool) -> 
     let published = output.publish(|records| manifest_of(&asked, &plan, records))?;
     workspace.set_resumable(memory.is_journal() && unfinished > 0);
     if let Some(path) = &job.depfile {
-        depfile::write(path, &published.manifest, content.files())?;
+        let files = job.file.iter().map(PathBuf::as_path).chain(content.files());
+        depfile::write(path, &published.manifest, files)?;
     }
 
     let [load, build] = loaded.map_or([0.0; 2], |loaded| loaded.seconds);

@@ -194,24 +194,32 @@ impl<'a> Output<'a> {
 }
 
 /// Moves the files of `manifest` and those `beside` it from `staging` to `folder`, and the manifest last, whose path it
-/// returns. Then files of an earlier bake that the new one does not have are removed, and nothing else.
+/// returns. Files of an earlier bake that the new one does not have are removed, and nothing else.
+///
+/// Until all is done there is no manifest, so that nobody takes files of two bakes for one, also where this ends halfway.
+/// The earlier one waits in the work folder, for this bake or the next to know its files by.
 pub(super) fn publish(staging: &Path, folder: &Path, beside: &[String], manifest: &Manifest) -> Result<PathBuf> {
     // Before anything is moved: a full disk shows here.
     manifest.write(&staging.join(manifest::FILE_NAME))?;
     let path = folder.join(manifest::FILE_NAME);
-    let earlier = Manifest::read(&path).ok();
-    for file in probe_files(manifest).chain(beside.iter().cloned()).chain([manifest::FILE_NAME.into()]) {
+    let earlier = folder.join(manifest::WORK_FOLDER).join("replaced.json");
+    if path.is_file() {
+        rename(&path, &earlier)?;
+    }
+    for file in probe_files(manifest).chain(beside.iter().cloned()) {
         rename(&staging.join(&file), &folder.join(&file))?;
     }
-    if let Some(earlier) = earlier {
+    if let Ok(earlier) = Manifest::read(&earlier) {
         remove_outdated(folder, &earlier, manifest);
     }
+    rename(&staging.join(manifest::FILE_NAME), &path)?;
+    let _ = std::fs::remove_file(earlier);
     Ok(path)
 }
 
 /// Removes files of an earlier bake that the new one does not have, and the folders that this leaves empty.
 ///
-/// The new bake is complete without it, so that a file which cannot be removed is no error.
+/// The new bake is complete whether they are there or not, so that a file which cannot be removed is no error.
 fn remove_outdated(folder: &Path, earlier: &Manifest, manifest: &Manifest) {
     let paths = |manifest: &Manifest| -> BTreeSet<PathBuf> {
         probe_files(manifest).filter_map(|file| manifest::path_in(folder, &file)).collect()

@@ -66,7 +66,11 @@ impl Tracing<'_> {
             PathSurfaces::new(scene, bvh, rules, settings, &origins).for_rays_of(ray_angle)
         });
         let locally_lit = (self.job.surface == Surface::Probe)
-            .then(|| LocallyLitSurfaces::new(scene, bvh, trace_settings(self.job, self.plan.order, local::FACE_SIZE)))
+            .then(|| {
+                self.progress.stage("baking the cubemaps that light the meshes");
+                let rules = trace_settings(self.job, self.plan.order, local::FACE_SIZE);
+                LocallyLitSurfaces::new(scene, bvh, rules, self.cancel)
+            })
             .transpose()?
             .map(|surfaces| surfaces.for_rays_of(ray_angle));
         let surfaces: &dyn Surfaces = match (&lit, &locally_lit) {

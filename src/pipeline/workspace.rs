@@ -1,4 +1,4 @@
-//! The folder inside the output folder in which a bake works: `.splatprobe`. It is there while a bake runs or has work left,
+//! The folder inside the output folder in which a bake works: [`WORK_FOLDER`]. It is there while a bake runs or has work left,
 //! and belongs to one process at a time.
 
 use std::fs::{File, TryLockError};
@@ -7,10 +7,8 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::cache::Store;
+use crate::manifest::WORK_FOLDER;
 use crate::{Error, Result};
-
-/// Its name. Engines and importers pass over names that begin with a dot.
-const NAME: &str = ".splatprobe";
 
 /// Files on their way to the output folder. In the same folder, so that moving them is a rename.
 const STAGING: &str = "staging";
@@ -42,7 +40,7 @@ impl Workspace {
     /// Fails with [`Error::Busy`] while another process has it, and with [`Error::Write`].
     pub fn begin(output: &Path) -> Result<Self> {
         let made_output = !output.exists();
-        let folder = output.join(NAME);
+        let folder = output.join(WORK_FOLDER);
         let lock = lock(output, &folder)?;
         let journal = Store::new(folder.join(JOURNAL));
         // What a bake that was killed had done outlives one that fails.
@@ -161,13 +159,13 @@ mod tests {
         first.journal().put(&key, b"done").unwrap();
         first.set_resumable(true);
         drop(first);
-        std::fs::write(output.join(NAME).join("mine"), "").unwrap();
+        std::fs::write(output.join(WORK_FOLDER).join("mine"), "").unwrap();
         let second = Workspace::begin(&output).unwrap();
         assert_eq!(second.journal().get(&key).unwrap(), b"done");
         second.set_resumable(false);
         drop(second);
         let left: Vec<_> =
-            std::fs::read_dir(output.join(NAME)).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+            std::fs::read_dir(output.join(WORK_FOLDER)).unwrap().map(|entry| entry.unwrap().file_name()).collect();
         assert_eq!(left, ["mine"]);
     }
 }

@@ -51,7 +51,11 @@ impl Signal {
         for face in Face::ALL {
             let tile = Tile { face, face_size: FACE_SIZE, x: 0, y: 0, width: FACE_SIZE, height: FACE_SIZE };
             tracer.trace_tile(position - scene.origin, &tile, &mut rays);
-            texels.extend(rays.iter().map(|ray| ray.to_linear(scene.encoding, scene.background).0));
+            texels.extend(
+                rays.iter()
+                    .zip(tile.directions())
+                    .map(|(ray, direction)| ray.to_linear(scene.encoding, scene.background_along(direction)).0),
+            );
             // One ray of four tells where walls are.
             let quarter = rays.iter().zip(tile.directions()).zip(&angles).enumerate();
             let quarter = quarter.filter(|(i, _)| i % 2 == 0 && (i / FACE_SIZE as usize).is_multiple_of(2));
@@ -112,6 +116,7 @@ pub fn error(predicted: &[Vec3], truth: &[Vec3]) -> f64 {
 mod tests {
     use super::*;
     use crate::scene::LinearRgb;
+    use crate::scene::environment::EnvironmentMap;
 
     /// A room's walls, lit by where they are.
     struct Room(Bounds);
@@ -146,6 +151,31 @@ mod tests {
         // Without parallax it does not.
         let [flat, ..] = errors(&here.truth(), &there.truth());
         assert!(flat > 3.0 * mirror, "{flat}");
+    }
+
+    #[test]
+    fn an_open_sky_is_seen_where_it_is_bright() {
+        /// Nothing at all.
+        struct Air;
+        impl TileTracer for Air {
+            fn trace_tile(&self, _: DVec3, _: &Tile, texels: &mut [Radiance]) {
+                texels.fill(Radiance::default());
+            }
+        }
+        // Red above, blue below.
+        let halves = [Vec3::X, Vec3::Z].into_iter().flat_map(|colour| [colour; 128 * 32]).collect();
+        let environment = EnvironmentMap::new(128, 64, halves);
+        assert!(environment.is_some());
+        let scene = Scene { environment, ..Scene::default() };
+        let truth = Signal::trace(&Air, &scene, DVec3::ZERO).unwrap().truth();
+        for (i, seen) in truth.iter().take(DIRECTIONS).enumerate() {
+            let up = fibonacci(i, DIRECTIONS).y;
+            // Two texels' width away from the horizon.
+            if up.abs() > 0.25 {
+                let colour = if up > 0.0 { Vec3::X } else { Vec3::Z };
+                assert!((*seen - colour).abs().max_element() < 1e-3, "{up}: {seen}");
+            }
+        }
     }
 
     #[test]

@@ -15,7 +15,7 @@ use crate::encode::file::write_bytes_atomically;
 use crate::encode::ktx2::rgb9e5;
 use crate::encode::slots::Slots;
 use crate::export::{Bake, PROBES_GLSL, PROBES_JS};
-use crate::filter::{Prefilter, RgbCubemap};
+use crate::filter::{Prefilter, ROUGHEST_SIZE, RgbCubemap, mip_count};
 use crate::job::RoughnessCurve;
 use crate::manifest::{FileRole, Manifest};
 use crate::{Error, Result};
@@ -37,9 +37,6 @@ const MAX_FACE_SIZE: u32 = 256;
 
 /// Bytes of cubemaps in a page, before base64; faces are halved until all fit.
 const MAX_BYTES: u64 = 24 << 20;
-
-/// The roughest mip has this many texels along an edge: a lobe of roughness 1 is no finer.
-const ROUGHEST_SIZE: u32 = 4;
 
 /// What the page's script reads.
 #[derive(Serialize)]
@@ -73,9 +70,9 @@ pub fn write(bake: &Path, out: &Path) -> Result<()> {
     let manifest = &bake.manifest;
     let baked_face_size = baked_face_size(manifest);
     let face_size = fitting_size(baked_face_size, manifest.probes.len() as u64);
-    let sizes = mip_sizes(face_size);
-    let count = sizes.len() as u32;
-    let mips = (0..).zip(&sizes).map(|(index, &size)| {
+    let count = mip_count(face_size, ROUGHEST_SIZE);
+    let mips = (0..count).map(|index| {
+        let size = face_size >> index;
         let roughness = RoughnessCurve::Linear.roughness(index, count, size);
         Mip { size, roughness }
     });
@@ -114,12 +111,6 @@ fn fitting_size(baked: u32, probes: u64) -> u32 {
         size /= 2;
     }
     size
-}
-
-/// Halves down to the roughest.
-fn mip_sizes(face_size: u32) -> Vec<u32> {
-    let halves = std::iter::successors(Some(face_size), |&size| (size > ROUGHEST_SIZE).then_some(size / 2));
-    halves.collect()
 }
 
 fn chain(cubemap: RgbCubemap, face_size: u32, count: u32) -> Vec<u8> {

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use glam::{Vec2, Vec3, Vec4};
 
+use super::bounds::Bounds;
 use super::material::Material;
 use super::texture::Texture;
 use crate::Result;
@@ -82,6 +83,15 @@ impl Meshes {
             + size_of_val(&*self.tangents)
             + size_of_val(&*self.triangles)
             + size_of_val(&*self.triangle_materials)
+    }
+
+    /// The box of each part's vertices, in metres relative to the scene origin; `None` for a part without any. Meshes whose
+    /// parts are not known are one.
+    pub fn part_bounds(&self) -> Vec<Option<Bounds>> {
+        let first = if self.part_starts.is_empty() { &[0][..] } else { &self.part_starts };
+        let ends = first.iter().skip(1).copied().chain([self.positions.len() as u32]);
+        let parts = first.iter().zip(ends).map(|(&start, end)| &self.positions[start as usize..end as usize]);
+        parts.map(|part| Bounds::of(part.iter().map(|position| position.as_dvec3()))).collect()
     }
 
     /// The tangent of vertex `v`; zero when it has none.

@@ -2,12 +2,12 @@
 
 use glam::{DVec3, Vec3};
 
-use super::bsdf::{Bsdf, Parameters};
+use super::bsdf::{Bsdf, Parameters, Response};
 use super::material::{MaterialPoint, SurfacePoint};
-use crate::scene::bounds::Bounds;
 use crate::scene::material::{AlphaMode, Material};
 use crate::scene::{LinearRgb, Meshes};
-use crate::trace::{Fragment, Ray, SurfaceHit};
+use crate::trace::ray::RayScratch;
+use crate::trace::{Fragment, Ray, RayTracer, SurfaceHit};
 
 /// A ray that leaves a surface starts this share of the numbers at hand away from it: f64 places a hit a thousand times
 /// better, and nothing that a file can hold in f32 is finer.
@@ -68,6 +68,16 @@ impl Footing {
         (direction.dot(self.geometric_normal) > 0.0) == (local.z > 0.0)
     }
 
+    /// What the surface answers to light from `direction`; nothing from the side that only one of its normals sees.
+    pub fn response(&self, bsdf: &Bsdf, direction: DVec3) -> Response {
+        let local = self.local(direction);
+        if self.is_consistent(direction, local) {
+            bsdf.evaluate(local)
+        } else {
+            Response { value: Vec3::ZERO, density: 0.0 }
+        }
+    }
+
     /// A ray from here.
     pub fn leave(&self, direction: DVec3) -> Ray {
         let side = self.geometric_normal * direction.dot(self.geometric_normal).signum();
@@ -89,6 +99,16 @@ pub(super) fn is_double_sided(meshes: &Meshes, triangle: u32) -> bool {
 
 fn bounds_volume(material: &Material) -> bool {
     material.volume.thickness.factor > 0.0 && material.transmission.factor > 0.0
+}
+
+/// Share of light that arrives along `ray` from `distance` metres away.
+pub(super) fn visibility(tracer: &RayTracer, ray: &Ray, distance: f64, scratch: &mut RayScratch) -> f32 {
+    tracer.transmittance(ray, distance, scratch, &mut |hit| coverage(&tracer.scene.meshes, ray, hit))
+}
+
+/// How much of `ray` the surface that it meets covers.
+pub(super) fn coverage(meshes: &Meshes, ray: &Ray, hit: &SurfaceHit) -> f32 {
+    SurfacePoint::new(meshes, ray, hit, 0.0).base_colour_and_coverage().1
 }
 
 /// What a surface of `meshes` sends back along `ray`, which widens by `ray_angle` radians: its emission, and what `reflect`
@@ -116,13 +136,4 @@ pub(super) fn lit_fragment(
     let footing = Footing::new(ray, hit, &material, hit.distance as f32);
     let reflected = if footing.is_black() { Vec3::ZERO } else { reflect(&footing, &material) };
     Fragment { alpha: material.coverage, radiance: LinearRgb(material.emission.0 + reflected) }
-}
-
-/// The box of each part's vertices, in metres relative to the scene origin; `None` for a part without any. Meshes whose parts
-/// are not known are one.
-pub(super) fn part_bounds(meshes: &Meshes) -> Vec<Option<Bounds>> {
-    let first = if meshes.part_starts.is_empty() { &[0][..] } else { &meshes.part_starts };
-    let ends = first.iter().skip(1).copied().chain([meshes.positions.len() as u32]);
-    let parts = first.iter().zip(ends).map(|(&start, end)| &meshes.positions[start as usize..end as usize]);
-    parts.map(|part| Bounds::of(part.iter().map(|position| position.as_dvec3()))).collect()
 }

@@ -13,21 +13,21 @@
 // rough refraction, stretches no reflection at grazing angles, and saves little: a hit asks 256 look-ups of a few cache
 // lines each.
 
-use std::cell::RefCell;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::footing::{self, Footing, lit_fragment, part_bounds};
-use super::material::{MaterialPoint, SurfacePoint};
-use crate::Result;
+use super::footing::{self, Footing, lit_fragment, visibility};
+use super::material::MaterialPoint;
+use super::with_scratch;
 use crate::bvh::Bvh;
 use crate::filter::{Prefilter, RgbCubemap};
 use crate::scene::{LinearRgb, Scene};
-use crate::trace::ray::RayScratch;
 use crate::trace::{
     BeamTracer, Face, Fragment, Radiance, Ray, RayTracer, SurfaceHit, Surfaces, Tile, TileTracer, TraceSettings,
 };
+use crate::{Error, Result};
 
 /// Points at which a hit's BSDF is sampled: a sphere under a sky with a bright spot is then within 3 % of its path-traced
 /// image, root mean square (`tests/light/probe.rs`); with half as many within 5 %, with twice as many 1 %.
@@ -70,19 +70,14 @@ pub struct LocallyLitSurfaces<'a> {
     light: Vec<Prefilter>,
 }
 
-thread_local! {
-    /// What shadow rays of one thread use one after another.
-    static SCRATCH: RefCell<RayScratch> = RefCell::default();
-}
-
 impl<'a> LocallyLitSurfaces<'a> {
     /// The surfaces of `scene`, whose tree is `bvh`; bakes the cubemaps that light them, by the rules of `trace`.
     ///
-    /// Fails with [`crate::Error::Request`] where a cubemap is not finite.
-    pub fn new(scene: &'a Scene, bvh: &'a Bvh, trace: TraceSettings) -> Result<Self> {
+    /// Fails with [`Error::Request`] where a cubemap is not finite, and with [`Error::Cancelled`] when `cancel` is set.
+    pub fn new(scene: &'a Scene, bvh: &'a Bvh, trace: TraceSettings, cancel: &AtomicBool) -> Result<Self> {
         // No ray meets a part all of whose triangles were left out.
         let middles: Vec<DVec3> =
-            part_bounds(&scene.meshes).into_iter().map(|bounds| bounds.map_or(DVec3::ZERO, |b| b.centre())).collect();
+            scene.meshes.part_bounds().into_iter().map(|bounds| bounds.map_or(DVec3::ZERO, |b| b.centre())).collect();
         let rays_of = |size: u32| middles.len() as u64 * 6 * u64::from(size).pow(2);
         let mut size = FACE_SIZE;
         while size > LEAST_FACE_SIZE && rays_of(size) > RAYS {
@@ -92,7 +87,7 @@ impl<'a> LocallyLitSurfaces<'a> {
         for _ in 0..BOUNCES {
             let parts = middles.par_iter().enumerate();
             surfaces.light =
-                parts.map(|(part, &middle)| surfaces.light_at(part, middle, size)).collect::<Result<_>>()?;
+                parts.map(|(part, &middle)| surfaces.light_at(part, middle, size, cancel)).collect::<Result<_>>()?;
         }
         Ok(surfaces)
     }
@@ -103,11 +98,14 @@ impl<'a> LocallyLitSurfaces<'a> {
     }
 
     /// The cubemap around the middle of `part`, without it, with the light that there is so far.
-    fn light_at(&self, part: usize, middle: DVec3, size: u32) -> Result<Prefilter> {
+    fn light_at(&self, part: usize, middle: DVec3, size: u32, cancel: &AtomicBool) -> Result<Prefilter> {
         let without = Without { surfaces: self, part };
         let tracer = BeamTracer::new(self.scene, self.bvh, &without, self.trace);
         let mut texels = Vec::with_capacity(6 * (size * size) as usize);
         for face in Face::ALL {
+            if cancel.load(Ordering::Relaxed) {
+                return Err(Error::Cancelled);
+            }
             let tile = Tile { face, face_size: size, x: 0, y: 0, width: size, height: size };
             let mut radiance = vec![Radiance::default(); tile.len()];
             tracer.trace_tile(middle, &tile, &mut radiance);
@@ -144,26 +142,19 @@ impl<'a> LocallyLitSurfaces<'a> {
         for light in &self.scene.lights {
             let Some(incident) = light.incident_at(footing.position.as_vec3()) else { continue };
             let direction = incident.to_light.as_dvec3().normalize();
-            let local = footing.local(direction);
-            if !footing.is_consistent(direction, local) {
-                continue;
-            }
-            let response = bsdf.evaluate(local).value;
+            let response = footing.response(&bsdf, direction).value;
             if response != Vec3::ZERO {
                 let ray = footing.leave(direction);
-                reflected += response * incident.irradiance.0 * self.visibility(&ray, incident.distance.into());
+                let visible =
+                    with_scratch(|scratch| visibility(&self.tracer(), &ray, incident.distance.into(), scratch));
+                reflected += response * incident.irradiance.0 * visible;
             }
         }
         if reflected.is_finite() { reflected } else { Vec3::ZERO }
     }
 
-    fn visibility(&self, ray: &Ray, distance: f64) -> f32 {
-        let tracer = RayTracer { scene: self.scene, bvh: self.bvh, surfaces: self, settings: self.trace };
-        SCRATCH.with_borrow_mut(|scratch| {
-            tracer.transmittance(ray, distance, scratch, &mut |hit| {
-                SurfacePoint::new(&self.scene.meshes, ray, hit, 0.0).base_colour_and_coverage().1
-            })
-        })
+    fn tracer(&self) -> RayTracer<'_> {
+        RayTracer { scene: self.scene, bvh: self.bvh, surfaces: self, settings: self.trace }
     }
 }
 

@@ -7,21 +7,18 @@
 // Shadows of a captured lamp or window are not found this way, nor is light that a mesh sends back: the first needs the
 // capture's lighting taken apart, the second a path-traced bake of the splats' own reflectance, which a capture has not.
 
-use std::cell::RefCell;
-
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::footing::part_bounds;
-use super::material::SurfacePoint;
+use super::footing::coverage;
 use super::sampling::fibonacci;
+use super::with_scratch;
 use crate::bvh::Bvh;
 use crate::job::Order;
 use crate::scene::bounds::Bounds;
 use crate::scene::colour::{linear_to_srgb, srgb_to_linear};
 use crate::scene::sh::{self, C0};
 use crate::scene::{Scene, SplatEncoding};
-use crate::trace::ray::RayScratch;
 use crate::trace::{EverySurface, Ray, RayTracer, TraceSettings};
 
 /// Directions from which ambient light is looked for. A square panel's share is then within 2 % of its form factor.
@@ -30,10 +27,10 @@ const DIRECTIONS: usize = 128;
 /// How far a part's shadow reaches beyond its box, in lengths of the box's diagonal. A ball's shadow is below 2 % there.
 const REACH: f64 = 1.5;
 
-/// Darkens the Gaussians of `scene`, whose tree is `bvh`; returns how many.
-pub fn darken(scene: &mut Scene, bvh: &Bvh, trace: TraceSettings) -> usize {
+/// Darkens the Gaussians of `scene`, whose tree is `bvh`.
+pub fn darken(scene: &mut Scene, bvh: &Bvh, trace: TraceSettings) {
     let parts: Vec<(Bounds, f64)> =
-        part_bounds(&scene.meshes).into_iter().flatten().map(|b| (b, REACH * b.extent().length())).collect();
+        scene.meshes.part_bounds().into_iter().flatten().map(|b| (b, REACH * b.extent().length())).collect();
     let tracer = RayTracer {
         scene,
         bvh,
@@ -54,18 +51,14 @@ pub fn darken(scene: &mut Scene, bvh: &Bvh, trace: TraceSettings) -> usize {
             (share < 1.0).then_some((i, share))
         })
         .collect();
-    for &(i, share) in &shares {
+    for (i, share) in shares {
         let decoded = scene.encoding == SplatEncoding::SrgbDisplay && !scene.splats.is_linear(i);
         dim(&mut scene.splats.sh, sh::coefficient_count(scene.splats.sh_degree), i, share, decoded);
     }
-    shares.len()
 }
 
 /// Share of the ambient light at Gaussian `i` that meshes within `reach` metres let pass.
 fn visible_share(tracer: &RayTracer, i: usize, directions: &[DVec3], reach: f64) -> f32 {
-    thread_local! {
-        static SCRATCH: RefCell<RayScratch> = RefCell::default();
-    }
     let splats = &tracer.scene.splats;
     let origin = splats.means[i].as_dvec3();
     // Rows of M are unit axes over standard deviations: the longest belongs to the thinnest axis.
@@ -74,13 +67,12 @@ fn visible_share(tracer: &RayTracer, i: usize, directions: &[DVec3], reach: f64)
     let thinnest = (0..3).map(row).max_by(|a, b| a.length_squared().total_cmp(&b.length_squared()));
     let normal = thinnest.unwrap_or(DVec3::Y).normalize();
     let (mut without, mut with) = (0.0, 0.0);
-    SCRATCH.with_borrow_mut(|scratch| {
+    with_scratch(|scratch| {
         for &direction in directions {
             let ray = Ray { origin, direction };
             let mut past_meshes = 1.0;
             let past_splats = tracer.transmittance(&ray, reach, scratch, &mut |hit| {
-                let point = SurfacePoint::new(&tracer.scene.meshes, &ray, hit, 0.0);
-                past_meshes *= 1.0 - point.base_colour_and_coverage().1;
+                past_meshes *= 1.0 - coverage(&tracer.scene.meshes, &ray, hit);
                 0.0
             });
             let light = past_splats * direction.dot(normal).abs() as f32;

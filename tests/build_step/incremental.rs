@@ -235,6 +235,18 @@ fn an_input_that_changes_during_the_bake_ends_it_and_leaves_what_was() {
 }
 
 #[test]
+fn what_lights_surfaces_is_told_of_before_the_probes() {
+    let folder = few();
+    let line =
+        "bake --splats few.ply --mesh square.glb --probe 0,0,0 --face-size 8 -o out --surface probe --progress json";
+    let output = run(folder.path(), line);
+    let events = String::from_utf8(output.stderr).unwrap();
+    let events: Vec<serde_json::Value> = events.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!((&events[0]["event"], &events[1]["event"]), (&"stage".into(), &"begin".into()));
+    assert!(events[0]["message"].as_str().unwrap().contains("cubemaps that light the meshes"));
+}
+
+#[test]
 fn a_depfile_names_every_file_that_was_read() {
     let folder = few();
     run(folder.path(), "bake --splats few.ply --mesh square.glb --probe 0,0,0 --face-size 8 -o out --depfile out.d");
@@ -245,4 +257,29 @@ fn a_depfile_names_every_file_that_was_read() {
         assert_eq!(first.matches(name).count(), 1, "{name} in {rule}");
     }
     assert!(json(&folder.path().join("out/manifest.json"))["settings"].get("depfile").is_none());
+}
+
+#[test]
+fn a_depfile_names_the_job_file_and_every_file_that_it_names() {
+    let folder = few();
+    run(folder.path(), "place --splats few.ply --probe 0,0,0 -o plan");
+    image::Rgb32FImage::from_pixel(8, 4, image::Rgb([0.5; 3])).save(folder.path().join("sky.hdr")).unwrap();
+    let job = serde_json::json!({
+        "splats": [{"path": "few.ply"}],
+        "meshes": [{"path": "square.glb"}],
+        "placement": {"placed": "plan/manifest.json"},
+        "background": "sky.hdr",
+        "faceSize": 8,
+        "depfile": "out.d",
+        "output": "out",
+    });
+    std::fs::write(folder.path().join("job.json"), job.to_string()).unwrap();
+    for _ in 0..2 {
+        run(folder.path(), "bake job.json --cache kept");
+        let rule = std::fs::read_to_string(folder.path().join("out.d")).unwrap();
+        let named: Vec<&str> = rule.split("\n\n").next().unwrap().split_whitespace().collect();
+        for name in ["job.json", "few.ply", "square.glb", "picture.png", "sky.hdr", "plan/manifest.json"] {
+            assert_eq!(named.iter().filter(|path| path.ends_with(name)).count(), 1, "{name} in {rule}");
+        }
+    }
 }

@@ -87,6 +87,29 @@ fn foreign_files_in_the_output_folder_stay() {
     }
 }
 
+/// What a kill at that moment leaves, made by a file that cannot be moved to its place.
+#[test]
+fn a_bake_that_ends_while_it_replaces_another_leaves_no_manifest_that_is_not_true() {
+    let folder = few();
+    let bake = "bake --splats few.ply --face-size 8 -o out";
+    run(folder.path(), &format!("{bake} --grid 2,1,1"));
+    let in_the_way = folder.path().join("out/probe_001/radiance.exr");
+    std::fs::remove_file(&in_the_way).unwrap();
+    std::fs::create_dir_all(in_the_way.join("folder")).unwrap();
+    let message = fail(folder.path(), &format!("{bake} --grid 2,1,1 --exposure 1"), 1);
+    assert!(message.contains("radiance.exr"), "{message}");
+    for line in ["verify out", "verify out/manifest.json", "preview out -o page.html"] {
+        let message = fail(folder.path(), line, 2);
+        assert!(message.contains("interrupted") && message.contains("bake again"), "{message}");
+    }
+    std::fs::remove_dir_all(&in_the_way).unwrap();
+    // The next bake still knows the files of the first, which it does not have.
+    run(folder.path(), &format!("{bake} --probe 0,0,0"));
+    run(folder.path(), "verify out");
+    run(folder.path(), "bake --splats few.ply --face-size 8 --probe 0,0,0 -o other");
+    assert_same(folder.path(), "other", "out");
+}
+
 #[test]
 fn a_bake_whose_time_is_over_is_labelled_and_goes_on() {
     let folder = demo();

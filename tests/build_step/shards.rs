@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use splatprobe::trace::Level;
+
 use crate::cli::splatprobe;
 use crate::scenes::{assert_same, fail, few, json, run, stats};
 
@@ -65,6 +67,10 @@ fn what_is_missing_twice_damaged_or_of_another_bake_is_named() {
     let version = concat!("splatprobe ", env!("CARGO_PKG_VERSION"));
     std::fs::write(&path, manifest.replace(version, "splatprobe 0.0.1")).unwrap();
     refused(&[a, b, c], &[c, "/generator"]);
+    let level = json(&path)["instructionLevel"].as_str().unwrap().to_owned();
+    assert_eq!(level, Level::best().name());
+    std::fs::write(&path, manifest.replace(&format!("\"{level}\""), "\"SSE\"")).unwrap();
+    refused(&[a, b, c], &[c, "/instructionLevel", "SSE", &level, "machines of one instruction level"]);
     std::fs::write(&path, &manifest).unwrap();
 
     let file = folder.path().join(b).join("probe_001/radiance.exr");

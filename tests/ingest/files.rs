@@ -43,6 +43,15 @@ pub fn load(bytes: &[u8]) -> splatprobe::Result<(Scene, SceneReport)> {
     load_with(bytes, |_| {})
 }
 
+/// Every stored number, by its bits.
+pub fn bits(scene: &Scene) -> Vec<u32> {
+    let splats = &scene.splats;
+    let means = splats.means.iter().flat_map(|mean| mean.to_array());
+    let matrices = splats.unit_from_world.iter().flat_map(|matrix| matrix.to_cols_array());
+    let numbers = means.chain(matrices).chain(splats.opacities.iter().copied()).chain(splats.sh.iter().copied());
+    std::iter::once(u32::from(splats.sh_degree)).chain(numbers.map(f32::to_bits)).collect()
+}
+
 /// Hands `count` copies of `bytes` with one to three of them changed to `try_one`; gives for how many that is true.
 pub fn with_flipped_bytes(bytes: &[u8], count: usize, seed: u64, mut try_one: impl FnMut(&[u8]) -> bool) -> usize {
     let mut random = Random(seed);

@@ -1,8 +1,11 @@
 //! Surfaces lit by a cubemap of their surroundings, against closed forms and against path tracing.
 
+use std::sync::atomic::AtomicBool;
+
 use crate::common::Random;
 use crate::scenes::{add_panel, add_room, add_sphere, directional, glass, lambert, metal, nearest_hit, ray};
 use glam::{DVec3, Vec3};
+use splatprobe::Error;
 use splatprobe::bvh::Bvh;
 use splatprobe::scene::{EnvironmentMap, LinearRgb, Material, Scene};
 use splatprobe::shade::{LocallyLitSurfaces, PathSettings, PathSurfaces};
@@ -15,7 +18,7 @@ fn trace() -> TraceSettings {
 /// What a ray sees under `--surface probe`.
 fn seen(scene: &mut Scene, rays: &[Ray]) -> Vec<Vec3> {
     let bvh = Bvh::build(scene);
-    let surfaces = LocallyLitSurfaces::new(scene, &bvh, trace()).unwrap();
+    let surfaces = LocallyLitSurfaces::new(scene, &bvh, trace(), &AtomicBool::new(false)).unwrap();
     radiance(scene, &bvh, &surfaces, rays)
 }
 
@@ -128,4 +131,13 @@ fn clear_glass_shows_what_is_behind_it() {
     let light = seen(&mut scene, &[ray])[0];
     // A texel of the cubemap is 1.4 degrees wide, one of the sky 5.6.
     assert!((light / behind - 1.0).abs().max_element() < 0.02, "{light} is not {behind}");
+}
+
+#[test]
+fn a_request_to_stop_is_heard_while_the_cubemaps_are_baked() {
+    let mut scene = Scene::default();
+    add_sphere(&mut scene, lambert(0.5), Vec3::ZERO, 1.0);
+    let bvh = Bvh::build(&mut scene);
+    let result = LocallyLitSurfaces::new(&scene, &bvh, trace(), &AtomicBool::new(true));
+    assert!(matches!(result, Err(Error::Cancelled)));
 }

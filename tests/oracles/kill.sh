@@ -29,6 +29,8 @@ for ((i = 1; i <= times; i++)); do
   # Every third with a cache of its own, which is killed, too.
   cache=()
   if ((i % 3 == 0)); then cache=(--cache "$work/cache$i"); fi
+  # Every second over another bake, whose manifest must not stand beside files of this one.
+  if ((i % 2 == 0)); then bake -o "$out" --exposure 1 > /dev/null; fi
   attempts=0
   while true; do
     attempts=$((attempts + 1))

@@ -15,7 +15,7 @@ use super::output::Output;
 use crate::Result;
 use crate::encode::ktx2::{Supercompression, file};
 use crate::encode::slots::Slots;
-use crate::filter::{Prefilter, RgbCubemap, Sampler};
+use crate::filter::{Prefilter, ROUGHEST_SIZE, RgbCubemap, Sampler, mip_count};
 use crate::job::{HdrEncoding, RoughnessCurve};
 use crate::manifest::ProbeRecord;
 use crate::place::interpolate::parallax_corrected;
@@ -25,9 +25,6 @@ const PLUGIN: &str = include_str!("splatprobe.rs.txt");
 
 /// Larger faces are more than a reflection probe needs, and all probes are in memory at once.
 const MAX_FACE_SIZE: u32 = 1024;
-
-/// The roughest mip has this many texels along an edge.
-const ROUGHEST_SIZE: u32 = 4;
 
 /// Edge of the diffuse maps' faces.
 const DIFFUSE_SIZE: u32 = 32;
@@ -49,7 +46,7 @@ pub fn write(bake: &Bake, output: &mut Output) -> Result<()> {
         let cubemap = output.power_of_two(&probe.id, bake.cubemap(probe)?, MAX_FACE_SIZE);
         let size = cubemap.size();
         let prefilter = Prefilter::new(cubemap);
-        let count = 1 + (size / ROUGHEST_SIZE).max(1).ilog2();
+        let count = mip_count(size, ROUGHEST_SIZE);
         let specular: Vec<RgbCubemap> =
             prefilter.chain(RoughnessCurve::Linear, count).iter().map(|mip| view.seen(&mip.cubemap)).collect();
         let diffuse = view.seen(&prefilter.irradiance(size.min(DIFFUSE_SIZE)));

@@ -15,7 +15,7 @@ use super::output::Output;
 use crate::Result;
 use crate::encode::ktx2::{Supercompression, file};
 use crate::encode::slots::Slots;
-use crate::filter::{Prefilter, RgbCubemap};
+use crate::filter::{Prefilter, ROUGHEST_SIZE, RgbCubemap, mip_count};
 use crate::job::{HdrEncoding, RoughnessCurve};
 use crate::manifest::ProbeRecord;
 
@@ -30,9 +30,6 @@ const BLEND_GLSL: &str = include_str!("blend.glsl");
 
 /// Larger faces take more memory than a browser gives.
 const MAX_FACE_SIZE: u32 = 1024;
-
-/// The roughest mip has this many texels along an edge.
-const ROUGHEST_SIZE: u32 = 4;
 
 /// Writes the bake for three.js.
 pub fn three(bake: &Bake, output: &mut Output) -> Result<()> {
@@ -56,8 +53,8 @@ fn write(bake: &Bake, output: &mut Output, name: &str, module: &str, example: &s
     for probe in &manifest.probes {
         let cubemap = output.power_of_two(&probe.id, bake.cubemap(probe)?, MAX_FACE_SIZE);
         let name = format!("{}/specular.ktx2", probe.id);
-        let halves = 1 + (cubemap.size() / ROUGHEST_SIZE).max(1).ilog2();
-        let chain = Prefilter::new(cubemap).chain(RoughnessCurve::Linear, halves);
+        let count = mip_count(cubemap.size(), ROUGHEST_SIZE);
+        let chain = Prefilter::new(cubemap).chain(RoughnessCurve::Linear, count);
         let mips: Vec<&RgbCubemap> = chain.iter().map(|mip| &mip.cubemap).collect();
         output.file(&name, file(&mips, &Slots::NEGATED_X, HdrEncoding::Rgba16f, Supercompression::None))?;
         probes.push(record(probe, &name));

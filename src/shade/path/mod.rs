@@ -7,8 +7,6 @@
 mod noise;
 mod walk;
 
-use std::cell::RefCell;
-
 use glam::{DVec3, Vec3};
 
 use self::noise::NoiseSums;
@@ -16,9 +14,9 @@ use self::walk::Walk;
 use super::footing::{self, Footing, lit_fragment};
 use super::lights::Lights;
 use super::sampling::{Sampler, hash_all};
+use super::with_scratch;
 use crate::bvh::Bvh;
 use crate::scene::Scene;
-use crate::trace::ray::RayScratch;
 use crate::trace::{Fragment, Ray, RayTracer, SurfaceHit, Surfaces, TraceSettings};
 
 pub use noise::SurfaceNoise;
@@ -56,11 +54,6 @@ pub struct PathSurfaces<'a> {
     lights: Lights<'a>,
     ray_angle: f32,
     noise: NoiseSums,
-}
-
-thread_local! {
-    /// What rays of one thread use one after another.
-    static SCRATCH: RefCell<RayScratch> = RefCell::default();
 }
 
 impl<'a> PathSurfaces<'a> {
@@ -105,7 +98,7 @@ impl<'a> PathSurfaces<'a> {
             ray_angle: self.ray_angle,
             max_bounces: self.settings.max_bounces,
         };
-        SCRATCH.with_borrow_mut(|scratch| {
+        with_scratch(|scratch| {
             let (mut count, mut mean, mut spread) = (0u32, DVec3::ZERO, 0.0);
             let mut end = FIRST_PATHS.min(self.settings.max_paths.max(1));
             loop {

@@ -9,8 +9,8 @@
 use glam::{DVec3, Vec3};
 
 use crate::scene::LinearRgb;
-use crate::shade::bsdf::Bsdf;
-use crate::shade::footing::{Footing, LIFT};
+use crate::shade::bsdf::{Bsdf, Response};
+use crate::shade::footing::{Footing, LIFT, coverage, visibility};
 use crate::shade::lights::Lights;
 use crate::shade::material::SurfacePoint;
 use crate::shade::sampling::Sampler;
@@ -123,10 +123,11 @@ impl Walk<'_> {
             if let Some(drawn) = self.lights.sample_punctual(footing.position.as_vec3(), random) {
                 let direction = drawn.incident.to_light.as_dvec3().normalize();
                 let irradiance = drawn.incident.irradiance.0 / drawn.probability;
-                let (response, _) = self.response(footing, bsdf, direction);
+                let response = footing.response(bsdf, direction).value;
                 if response != Vec3::ZERO {
                     let distance = f64::from(drawn.incident.distance);
-                    light += response * irradiance * self.visibility(&footing.leave(direction), distance, scratch);
+                    light +=
+                        response * irradiance * visibility(&self.tracer, &footing.leave(direction), distance, scratch);
                 }
             }
         }
@@ -150,12 +151,12 @@ impl Walk<'_> {
     ) -> Option<Vec3> {
         let map = self.tracer.scene.environment.as_ref()?;
         let direction = map.sample(random)?;
-        let (response, bsdf_density) = self.response(footing, bsdf, direction);
+        let Response { value: response, density: bsdf_density } = footing.response(bsdf, direction);
         let density = map.density(direction);
         if response == Vec3::ZERO || density <= 0.0 {
             return None;
         }
-        let passed = self.visibility(&footing.leave(direction), f64::INFINITY, scratch);
+        let passed = visibility(&self.tracer, &footing.leave(direction), f64::INFINITY, scratch);
         Some(response * map.radiance(direction).0 * passed * power_heuristic(density, bsdf_density) / density)
     }
 
@@ -174,7 +175,7 @@ impl Walk<'_> {
         let drawn = self.lights.sample_emitter(random)?;
         let offset = drawn.position - footing.position;
         let direction = offset.try_normalize()?;
-        let (response, bsdf_density) = self.response(footing, bsdf, direction);
+        let Response { value: response, density: bsdf_density } = footing.response(bsdf, direction);
         if response == Vec3::ZERO {
             return None;
         }
@@ -189,26 +190,8 @@ impl Walk<'_> {
         let (_, coverage) = point.base_colour_and_coverage();
         let radiance = coverage * point.emission().0;
         // Up to the emitter, without it.
-        let passed = self.visibility(&ray, hit.distance * (1.0 - LIFT), scratch);
+        let passed = visibility(&self.tracer, &ray, hit.distance * (1.0 - LIFT), scratch);
         Some(response * radiance * passed * power_heuristic(density, bsdf_density) / density)
-    }
-
-    /// BSDF times cosine, and its density.
-    fn response(&self, footing: &Footing, bsdf: &Bsdf, direction: DVec3) -> (Vec3, f32) {
-        let local = footing.local(direction);
-        if !footing.is_consistent(direction, local) {
-            return (Vec3::ZERO, 0.0);
-        }
-        let response = bsdf.evaluate(local);
-        (response.value, response.density)
-    }
-
-    fn visibility(&self, ray: &Ray, distance: f64, scratch: &mut RayScratch) -> f32 {
-        self.tracer.transmittance(ray, distance, scratch, &mut |hit| self.coverage(ray, hit))
-    }
-
-    fn coverage(&self, ray: &Ray, hit: &SurfaceHit) -> f32 {
-        SurfacePoint::new(&self.tracer.scene.meshes, ray, hit, 0.0).base_colour_and_coverage().1
     }
 
     /// Follows a ray to its end. The surface that the path goes on from is drawn among those met with `random`, in [0, 1),
@@ -217,7 +200,11 @@ impl Walk<'_> {
         let mut next = None;
         let mut total = 0.0;
         let gathered = self.tracer.trace_with(ray, f64::INFINITY, scratch, &mut |hit, transmittance| {
-            let alpha = if self.tracer.surfaces.is_opaque(hit.triangle) { 1.0 } else { self.coverage(ray, hit) };
+            let alpha = if self.tracer.surfaces.is_opaque(hit.triangle) {
+                1.0
+            } else {
+                coverage(&self.tracer.scene.meshes, ray, hit)
+            };
             let weight = transmittance as f32 * alpha;
             if weight > 0.0 {
                 total += weight;

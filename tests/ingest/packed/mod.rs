@@ -11,7 +11,7 @@ use splatprobe::ingest::{SceneReport, load_scene};
 use splatprobe::job::{Frame, SplatInput};
 use splatprobe::scene::{Scene, sh};
 
-pub use crate::files::{data, load, load_with};
+pub use crate::files::{bits, data, load, load_with};
 use crate::packed_files::Known;
 
 /// How far a format's steps may take a Gaussian.
@@ -74,15 +74,6 @@ pub fn load_raw(bytes: &[u8]) -> (Scene, SceneReport) {
 
 pub fn error_of(bytes: &[u8]) -> String {
     load(bytes).expect_err("an error").to_string()
-}
-
-/// Every stored number, by its bits.
-pub fn bits(scene: &Scene) -> Vec<u32> {
-    let splats = &scene.splats;
-    let means = splats.means.iter().flat_map(|mean| mean.to_array());
-    let matrices = splats.unit_from_world.iter().flat_map(|matrix| matrix.to_cols_array());
-    let numbers = means.chain(matrices).chain(splats.opacities.iter().copied()).chain(splats.sh.iter().copied());
-    std::iter::once(u32::from(splats.sh_degree)).chain(numbers.map(f32::to_bits)).collect()
 }
 
 /// Asserts that `scene` holds `expected`, in their order.

@@ -9,22 +9,13 @@ use glam::{DVec3, Vec3};
 use splatprobe::Error;
 use splatprobe::ingest::{SceneReport, inspect_splats, load_scene};
 use splatprobe::job::{Crop, Frame, SplatInput};
-use splatprobe::scene::{Scene, SplatEncoding, sh};
+use splatprobe::scene::{SplatEncoding, sh};
 
-use crate::files::{data, load, load_with};
+use crate::files::{bits, data, load, load_with};
 use builder::{Builder, Encoding, Others, splats, value};
 
 fn input(path: &Path) -> SplatInput {
     SplatInput::new(path)
-}
-
-/// Every stored number, by its bits.
-fn bits(scene: &Scene) -> Vec<u32> {
-    let splats = &scene.splats;
-    let means = splats.means.iter().flat_map(|mean| mean.to_array());
-    let matrices = splats.unit_from_world.iter().flat_map(|matrix| matrix.to_cols_array());
-    let numbers = means.chain(matrices).chain(splats.opacities.iter().copied()).chain(splats.sh.iter().copied());
-    std::iter::once(u32::from(splats.sh_degree)).chain(numbers.map(f32::to_bits)).collect()
 }
 
 #[test]

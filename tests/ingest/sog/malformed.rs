@@ -1,29 +1,12 @@
 //! Broken and hostile files: always an error that tells where and what, never a panic.
 
-use std::cell::RefCell;
-use std::io::{Seek, Write};
-
 use serde_json::{Value, json};
 use splatprobe::Error;
 use splatprobe::ingest::load_scene;
 use splatprobe::job::SplatInput;
 
 use super::builder::{Builder, bundle, deflated, webp};
-use super::load_path;
-
-/// Loads `bytes` from a file that is written over and over: creating thousands of files takes seconds.
-fn load(bytes: &[u8]) -> splatprobe::Result<(splatprobe::scene::Scene, splatprobe::ingest::SceneReport)> {
-    thread_local! {
-        static FILE: RefCell<tempfile::NamedTempFile> =
-            RefCell::new(tempfile::NamedTempFile::new().expect("a temporary file"));
-    }
-    FILE.with_borrow_mut(|file| {
-        file.rewind().expect("rewound");
-        file.write_all(bytes).expect("written");
-        file.as_file().set_len(bytes.len() as u64).expect("cut to length");
-        load_path(file.path())
-    })
-}
+use super::{load, load_path};
 
 fn error_of(bytes: &[u8]) -> String {
     load(bytes).expect_err("an error").to_string()

@@ -13,6 +13,7 @@ use splatprobe::ingest::{SceneReport, load_scene};
 use splatprobe::job::{Frame, SplatInput};
 use splatprobe::scene::{Scene, Splats, sh};
 
+use crate::files::{bits, load_with};
 use builder::{Builder, codebook};
 
 /// Loads a file as it stands.
@@ -22,18 +23,7 @@ fn load_path(path: &Path) -> splatprobe::Result<(Scene, SceneReport)> {
 
 /// Loads `bytes` as a bundled SOG.
 fn load(bytes: &[u8]) -> splatprobe::Result<(Scene, SceneReport)> {
-    let file = tempfile::NamedTempFile::new().expect("a temporary file");
-    std::fs::write(file.path(), bytes).expect("written");
-    load_path(file.path())
-}
-
-/// Every stored number, by its bits.
-fn bits(scene: &Scene) -> Vec<u32> {
-    let splats = &scene.splats;
-    let means = splats.means.iter().flat_map(|mean| mean.to_array());
-    let matrices = splats.unit_from_world.iter().flat_map(|matrix| matrix.to_cols_array());
-    let numbers = means.chain(matrices).chain(splats.opacities.iter().copied()).chain(splats.sh.iter().copied());
-    std::iter::once(u32::from(splats.sh_degree)).chain(numbers.map(f32::to_bits)).collect()
+    load_with(bytes, |input| input.frame = Some(Frame::RUB))
 }
 
 fn assert_near(found: f64, expected: f64, what: &str) {
