@@ -5,11 +5,15 @@ mod ply;
 
 use std::path::{Path, PathBuf};
 
+use glam::DQuat;
 use splatprobe::generate::{InteriorSettings, interior};
 
 /// Few Gaussians, so that the file is small; larger ones than a capture's, so that the walls have no holes.
 const ROOMS: InteriorSettings =
     InteriorSettings { gaussians: 52_000, rooms: [2, 1], joined: &[], sh_degree: 0, seed: 1, gaussian_size: 1.6 };
+
+/// Half a turn about X: from +Y up, +Z back to the trainers' +Y down, +Z forward.
+const RIGHT_DOWN_FORWARD: DQuat = DQuat::from_xyzw(1.0, 0.0, 0.0, 0.0);
 
 fn main() -> std::io::Result<()> {
     let default = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/pipelines/demo"));
@@ -18,6 +22,8 @@ fn main() -> std::io::Result<()> {
 
 /// Writes `demo.ply` and `lamp.glb` into `folder`.
 pub fn write(folder: &Path) -> std::io::Result<()> {
-    std::fs::write(folder.join("demo.ply"), ply::encode(&interior(&ROOMS)))?;
+    let mut bytes = Vec::new();
+    ply::write(&interior(&ROOMS), RIGHT_DOWN_FORWARD, &mut bytes)?;
+    std::fs::write(folder.join("demo.ply"), bytes)?;
     std::fs::write(folder.join("lamp.glb"), lamp::glb())
 }

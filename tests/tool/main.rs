@@ -11,4 +11,5 @@ mod demo;
 mod layering;
 mod one_scene;
 mod placement;
+mod results;
 mod schemas;
