@@ -4,9 +4,10 @@
 //! defaults; the presets change several and are there as a cross-check. It is not the full product: that would take days,
 //! and settings hardly act on each other (each error has a cause of its own: resolution, aliasing, cut-off, noise).
 //!
-//! A row's time is that of tracing all probes' cubemaps: median wall time, on all cores and on one. Loading, the tree and
-//! writing are not in it. Its errors are against up to five truths ([`Truth`]), in display space; only rows that share a
-//! truth compare, and the best of them are marked: the [Pareto front](front).
+//! A row's time is that of tracing all probes' cubemaps, the median of some runs: wall time on all cores, and processor
+//! time on one, which also means something on a machine that does other things besides. Loading, the tree and writing are not
+//! in it. Its errors are against up to five truths ([`Truth`]), in display space; only rows that share a truth compare, and
+//! the best of them, by time on one core, are marked: the [Pareto front](front).
 
 pub mod front;
 mod light;

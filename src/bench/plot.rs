@@ -1,4 +1,4 @@
-//! A bench as plots: error over time, both logarithmic, a panel per scene and truth.
+//! A bench as plots: error over time on one core, both logarithmic, a panel per scene and truth.
 
 use std::fmt::Write;
 
@@ -75,7 +75,7 @@ pub(super) fn page(report: &BenchReport) -> String {
     for scene in &report.scenes {
         text(&mut svg, [16.0, top + 26.0], "font-size=\"16\" font-weight=\"bold\"", &scene.scene);
         let counts = format!(
-            "{} Gaussians of degree {}, {} triangles, {} probes",
+            "{} Gaussians of degree {}, {} triangles; probes: {}",
             scene.gaussians,
             scene.sh_degree,
             scene.triangles,
@@ -137,7 +137,7 @@ impl Scales {
 
 fn panel(svg: &mut String, corner: [f64; 2], scene: &SceneBench, record: &TruthRecord) {
     let rows: Vec<(&Row, &RowError)> = scene.rows_by(record.truth).collect();
-    let at = |row: &Row, error: &RowError| [row.seconds.all.max(1e-9), error.norms.rmse.max(LEAST_ERROR)];
+    let at = |row: &Row, error: &RowError| [row.seconds.one.max(1e-9), error.norms.rmse.max(LEAST_ERROR)];
     let points: Vec<[f64; 2]> = rows.iter().map(|(row, error)| at(row, error)).collect();
     if points.is_empty() {
         return;
@@ -151,12 +151,12 @@ fn panel(svg: &mut String, corner: [f64; 2], scene: &SceneBench, record: &TruthR
     let mut on_front: Vec<[f64; 2]> =
         rows.iter().zip(&points).filter(|((_, error), _)| error.on_front).map(|(_, point)| *point).collect();
     on_front.sort_by(|a, b| a[0].total_cmp(&b[0]));
-    let line: Vec<String> =
-        on_front.iter().map(|&point| scales.place(point)).map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
+    let line: Vec<[f64; 2]> = on_front.iter().map(|&point| scales.place(point)).collect();
+    let corners: Vec<String> = line.iter().map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
     let _ = writeln!(
         svg,
         "<polyline points=\"{}\" fill=\"none\" stroke=\"{FRONT}\" stroke-width=\"1.5\"/>",
-        line.join(" ")
+        corners.join(" ")
     );
 
     let places: Vec<[f64; 2]> = points.iter().map(|&point| scales.place(point)).collect();
@@ -164,17 +164,22 @@ fn panel(svg: &mut String, corner: [f64; 2], scene: &SceneBench, record: &TruthR
         disc(svg, *place, row.axis.legend().1, error.on_front);
     }
     let mut taken: Vec<[f64; 4]> = places.iter().map(|[x, y]| [x - 4.0, y - 4.0, x + 4.0, y + 4.0]).collect();
-    let [left, right] = [corner[0] + MARGIN[0], corner[0] + PANEL[0]];
+    taken.extend(line.windows(2).flat_map(|ends| along(ends[0], ends[1])));
+    let [left, right] = [corner[0] + MARGIN[0], corner[0] + PANEL[0] - MARGIN[2]];
     for ((row, _), place) in rows.iter().zip(&places) {
         let label = label_box(*place, &row.label, [left, right], &taken);
-        text(
-            svg,
-            [label[0], label[3] - 2.5],
-            &format!("fill=\"{}\" font-size=\"10\"", row.axis.legend().1),
-            &row.label,
-        );
+        text(svg, [label[0], label[3] - 2.5], "fill=\"#222222\" font-size=\"10\"", &row.label);
         taken.push(label);
     }
+}
+
+/// Small boxes along a line, which labels leave free.
+fn along(from: [f64; 2], to: [f64; 2]) -> impl Iterator<Item = [f64; 4]> {
+    let steps = ((to[0] - from[0]).hypot(to[1] - from[1]) / LETTER[0]).ceil().max(1.0);
+    (0..=steps as usize).map(move |i| {
+        let at = |k: usize| from[k] + (to[k] - from[k]) * i as f64 / steps;
+        [at(0) - 1.0, at(1) - 1.0, at(0) + 1.0, at(1) + 1.0]
+    })
 }
 
 /// Where a label goes: beside its point, or wherever near it is still free.
@@ -214,7 +219,8 @@ fn axes(svg: &mut String, scales: &Scales, truth: Truth) {
         svg,
         "<rect x=\"{x0:.1}\" y=\"{y0:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" fill=\"none\" stroke=\"#999999\"/>"
     );
-    let what = if truth == Truth::Lobe { "seconds of a chain, all cores" } else { "seconds of all probes, all cores" };
+    let what =
+        if truth == Truth::Lobe { "seconds of a chain on one core" } else { "seconds of all probes on one core" };
     text(svg, [(x0 + x1) / 2.0, y1 + 32.0], "text-anchor=\"middle\"", what);
 }
 

@@ -76,7 +76,7 @@ pub struct SceneBench {
 pub enum Truth {
     /// What `reference` sees along the same rays, at random texels: what a tracer and its cut-off lose.
     Ray,
-    /// What a texel of the base's size sees as an area: 16 x 16 rays of it, none cut off.
+    /// What a texel of the base's size sees as an area: at least 16 x 16 rays of it, none cut off.
     Area,
     /// What a mirror shows: the areas of the finest cubemap's texels. Coarser cubemaps are looked up between their texels, as
     /// engines do.
@@ -115,13 +115,13 @@ pub struct TruthRecord {
     pub seconds: f64,
 }
 
-/// Median wall time of tracing all probes (of `lobe`: of prefiltering the first), in seconds.
+/// Median time of tracing all probes (of `lobe`: of prefiltering the first), in seconds.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, rename_all = "camelCase")]
 pub struct Seconds {
-    /// On all cores.
+    /// Wall time on all cores.
     pub all: f64,
-    /// On one.
+    /// Processor time on one core; wall time where the system does not tell it.
     pub one: f64,
 }
 
@@ -189,7 +189,7 @@ pub struct RowError {
     /// What the settings promise for it: the cut-off's share of a colour up to paper white. None where other causes count.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub bound: Option<f64>,
-    /// Whether no other row of this scene is both as fast, on all cores, and as near to this truth by RMSE.
+    /// Whether no other row of this scene is both as fast, on one core, and as near to this truth by RMSE.
     pub on_front: bool,
 }
 
@@ -203,7 +203,7 @@ impl SceneBench {
     pub(super) fn mark_fronts(&mut self) {
         for truth in Truth::ALL {
             let points: Vec<[f64; 2]> =
-                self.rows_by(truth).map(|(row, error)| [row.seconds.all, error.norms.rmse]).collect();
+                self.rows_by(truth).map(|(row, error)| [row.seconds.one, error.norms.rmse]).collect();
             let errors = self.rows.iter_mut().flat_map(|row| &mut row.errors);
             for (error, on_front) in errors.filter(|error| error.truth == truth).zip(front(&points)) {
                 error.on_front = on_front;

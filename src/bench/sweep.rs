@@ -52,6 +52,8 @@ struct Values {
     prefilter_samples: &'static [u32],
     /// Random texels that `reference` traces.
     rays: usize,
+    /// Rays along an edge of the finest faces' texels, of the truth.
+    truth_samples: u32,
     /// By how much faces are smaller than asked.
     reduction: u32,
 }
@@ -67,6 +69,7 @@ const FULL: Values = Values {
     truth_paths: 4096,
     prefilter_samples: &[256, 512, 1024, 2048, 4096, 8192],
     rays: 512,
+    truth_samples: 16,
     reduction: 1,
 };
 
@@ -80,6 +83,7 @@ const QUICK: Values = Values {
     truth_paths: 1024,
     prefilter_samples: &[512, 2048, 8192],
     rays: 128,
+    truth_samples: 8,
     reduction: 4,
 };
 
@@ -120,6 +124,11 @@ impl Sweep {
     /// Random texels that `reference` traces.
     pub fn rays(&self) -> usize {
         self.values.rays
+    }
+
+    /// Rays along an edge of the finest faces' texels, of the truth.
+    pub fn truth_samples(&self) -> u32 {
+        self.values.truth_samples
     }
 
     /// The base and all that is traced otherwise.

@@ -21,9 +21,6 @@ use crate::scene::LinearRgb;
 use crate::shade::sampling::hash_all;
 use crate::trace::{Face, Radiance, Tile};
 
-/// Rays along an edge of a texel of the area truth.
-const SAMPLES: u32 = 16;
-
 /// Another seed, other random texels.
 const SEED: u32 = 9;
 
@@ -121,7 +118,7 @@ impl Rays {
     }
 
     fn describe(&self, bench: &mut Bench) {
-        let description = format!("`reference` along the rays of {} random texels", self.texels.len());
+        let description = format!("reference tracer along the rays of {} random texels", self.texels.len());
         bench.scene.truths.insert(0, TruthRecord { truth: Truth::Ray, description, seconds: self.seconds });
     }
 }
@@ -136,18 +133,18 @@ struct Areas {
 
 impl Areas {
     fn trace(bench: &mut Bench, base: &Job) -> Result<Self> {
-        let size = bench.sweep.finest();
-        bench.say(&format!("truth: {size} px, {SAMPLES} x {SAMPLES} rays per texel"));
+        let (size, samples) = (bench.sweep.finest(), bench.sweep.truth_samples());
+        bench.say(&format!("truth: {size} px, {samples} x {samples} rays per texel"));
         let tracer = Tracer::Beam;
         let footprint = Footprint::None;
-        let job = Job { face_size: size, samples: SAMPLES, t_cutoff: 0.0, tracer, footprint, ..base.clone() };
+        let job = Job { face_size: size, samples, t_cutoff: 0.0, tracer, footprint, ..base.clone() };
         let begun = Instant::now();
         let cubemaps = bench.clock.run(|| bench.site.trace(&job))?;
         let seconds = begun.elapsed().as_secs_f64();
-        let rays = SAMPLES * size / base.face_size;
+        let rays = samples * size / base.face_size;
         let area = format!("texels of {} px faces as areas: {rays} x {rays} rays each, no cut-off", base.face_size);
         let image =
-            format!("texels of {size} px faces as areas, looked up: {SAMPLES} x {SAMPLES} rays each, no cut-off");
+            format!("texels of {size} px faces as areas, looked up: {samples} x {samples} rays each, no cut-off");
         for (truth, description) in [(Truth::Area, area), (Truth::Image, image)] {
             bench.scene.truths.push(TruthRecord { truth, description, seconds });
         }

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Footprint, Job};
+use super::Job;
 
 /// Where the settings come from that a job does not state: those of speed and accuracy. What a job states always wins.
 ///
@@ -29,14 +29,7 @@ impl Preset {
     pub fn job(self) -> Job {
         let standard = Job::default();
         let settings = match self {
-            Self::Draft => Job {
-                face_size: 128,
-                footprint: Footprint::Pixel,
-                t_cutoff: 1.0 / 256.0,
-                noise: 0.1,
-                max_paths: 64,
-                ..standard
-            },
+            Self::Draft => Job { face_size: 128, t_cutoff: 1.0 / 256.0, noise: 0.1, max_paths: 64, ..standard },
             Self::Standard => standard,
             Self::Reference => {
                 Job { face_size: 512, samples: 4, t_cutoff: 1.0 / 16384.0, noise: 0.005, max_paths: 16384, ..standard }
