@@ -76,7 +76,7 @@ pub struct SceneBench {
 pub enum Truth {
     /// What `reference` sees along the same rays, at random texels: what a tracer and its cut-off lose.
     Ray,
-    /// What a texel of the base's size sees as an area: at least 16 x 16 rays of it, none cut off.
+    /// What a texel of the base's size sees as an area: 16 x 16 rays of it, none cut off before a millionth.
     Area,
     /// What a mirror shows: the areas of the finest cubemap's texels. Coarser cubemaps are looked up between their texels, as
     /// engines do.

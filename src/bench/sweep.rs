@@ -52,8 +52,6 @@ struct Values {
     prefilter_samples: &'static [u32],
     /// Random texels that `reference` traces.
     rays: usize,
-    /// Rays along an edge of the finest faces' texels, of the truth.
-    truth_samples: u32,
     /// By how much faces are smaller than asked.
     reduction: u32,
 }
@@ -63,13 +61,12 @@ const FULL: Values = Values {
     tracers: &[Tracer::Beam, Tracer::Ray],
     t_cutoffs: &[0.0, 1.0 / 65536.0, 1.0 / 16384.0, 1.0 / 2048.0, 1.0 / 256.0, 1.0 / 64.0, 1.0 / 16.0],
     footprints: &[Footprint::None, Footprint::Pixel, Footprint::Train(1200.0)],
-    samples: &[1, 2, 4, 8, 16],
+    samples: &[1, 2, 4, 8],
     face_sizes: &[[1, 8], [1, 4], [1, 2], [1, 1], [FINEST, 1]],
     paths: &[16, 64, 256],
     truth_paths: 4096,
     prefilter_samples: &[256, 512, 1024, 2048, 4096, 8192],
     rays: 512,
-    truth_samples: 16,
     reduction: 1,
 };
 
@@ -83,7 +80,6 @@ const QUICK: Values = Values {
     truth_paths: 1024,
     prefilter_samples: &[512, 2048, 8192],
     rays: 128,
-    truth_samples: 8,
     reduction: 4,
 };
 
@@ -93,7 +89,7 @@ const FINEST: u32 = 2;
 /// Face sizes must be halves of each other down to an eighth, so that a truth serves them all.
 const STEP: u32 = 8;
 
-/// The least and the largest face size of the base. At the largest, the truth takes 1.6 billion rays.
+/// The least and the largest face size of the base. At the largest, the truth takes 400 million rays.
 const FACE_SIZES: [u32; 2] = [16, 512];
 
 /// A sweep about a job.
@@ -124,11 +120,6 @@ impl Sweep {
     /// Random texels that `reference` traces.
     pub fn rays(&self) -> usize {
         self.values.rays
-    }
-
-    /// Rays along an edge of the finest faces' texels, of the truth.
-    pub fn truth_samples(&self) -> u32 {
-        self.values.truth_samples
     }
 
     /// The base and all that is traced otherwise.
