@@ -29,7 +29,7 @@ fn add_scene(page: &mut String, scene: &SceneBench) {
     for record in &scene.truths {
         let _ = write!(
             page,
-            "\n### Error by {}\n\nTruth: {}; {:.1} s. Errors in display space; * marks the Pareto front.\n\n\
+            "\n### Error by {}\n\nTruth: {}; {:.1} s. Errors in display space; * marks the Pareto front by time on one core.\n\n\
              | | setting | s, all cores | s, one core | Mrays/s | RMSE | max | PSNR, dB | FLIP |\n\
              |---|---|---:|---:|---:|---:|---:|---:|---:|\n",
             record.truth.name(),

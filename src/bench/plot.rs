@@ -168,8 +168,18 @@ fn panel(svg: &mut String, corner: [f64; 2], scene: &SceneBench, record: &TruthR
     let [left, right] = [corner[0] + MARGIN[0], corner[0] + PANEL[0] - MARGIN[2]];
     for ((row, _), place) in rows.iter().zip(&places) {
         let label = label_box(*place, &row.label, [left, right], &taken);
+        leader(svg, *place, label);
         text(svg, [label[0], label[3] - 2.5], "fill=\"#222222\" font-size=\"10\"", &row.label);
         taken.push(label);
+    }
+}
+
+/// A line from a point to its label, where that is not beside it.
+fn leader(svg: &mut String, [x, y]: [f64; 2], [left, top, right, bottom]: [f64; 4]) {
+    if y < top || y > bottom {
+        let (to_x, to_y) = (if left > x { left - 1.0 } else { right + 1.0 }, (top + bottom) / 2.0);
+        let _ =
+            writeln!(svg, "<path d=\"M{x:.1},{y:.1}L{to_x:.1},{to_y:.1}\" stroke=\"#b0b0b0\" stroke-width=\"0.7\"/>");
     }
 }
 

@@ -189,7 +189,8 @@ pub struct RowError {
     /// What the settings promise for it: the cut-off's share of a colour up to paper white. None where other causes count.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub bound: Option<f64>,
-    /// Whether no other row of this scene is both as fast, on one core, and as near to this truth by RMSE.
+    /// Whether no other row of this scene is as fast, on one core, and as near to this truth by RMSE, and by more than 5 %
+    /// better in one of them.
     pub on_front: bool,
 }
 
