@@ -9,17 +9,19 @@ use std::path::{Path, PathBuf};
 
 use flip_rs::{DEFAULT_PPD, RgbImage, ldr_flip};
 use schemars::JsonSchema;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::encode::exr::{Image, RADIANCE_FILE, read_exr};
 use crate::error::{Error, Result};
+use crate::filter::RgbCubemap;
+use crate::scene::LinearRgb;
 use crate::scene::colour::linear_to_srgb;
 
 /// How far below a bake's folder its probes' folders are looked for.
 const MAX_DEPTH: usize = 2;
 
 /// Norms of the difference of two sets of values.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct ErrorNorms {
     /// Root of the mean squared difference.
@@ -45,7 +47,7 @@ impl ErrorNorms {
     }
 
     /// Norms over several sets; `weights` are shares of all values and sum to 1.
-    fn pooled(norms: impl Iterator<Item = Self> + Clone, weights: &[f64]) -> Self {
+    pub(crate) fn pooled(norms: impl Iterator<Item = Self> + Clone, weights: &[f64]) -> Self {
         let mean_square = norms.clone().zip(weights).map(|(norms, weight)| norms.rmse.powi(2) * weight).sum();
         Self::new(mean_square, norms.map(|norms| norms.max_abs).fold(0.0, f64::max))
     }
@@ -104,14 +106,46 @@ pub fn compare_images(reference: &Path, test: &Path) -> Result<ImageError> {
     }
     let (width, height) = sizes[0];
     let linear = [rgb(reference, &reference_image)?, rgb(test, &test_image)?];
-    let encode = |value: f32| linear_to_srgb(value).clamp(0.0, 1.0);
-    let display = linear.each_ref().map(|pixels| pixels.iter().map(|pixel| pixel.map(encode)).collect::<Vec<_>>());
+    image_error(&linear, width, height).map_err(|error| Error::unsupported(test, error.to_string()))
+}
+
+/// Compares two cubemaps in memory.
+///
+/// Fails with [`Error::Request`] when their sizes differ.
+pub fn compare_cubemaps(reference: &RgbCubemap, test: &RgbCubemap) -> Result<ImageError> {
+    let [size, test_size] = [reference, test].map(|cubemap| cubemap.size() as usize);
+    if size != test_size {
+        return Err(Error::request("cubemap", format!("faces of {size} and of {test_size} texels do not compare")));
+    }
+    let pixels = |cubemap: &RgbCubemap| cubemap.texels().iter().map(|texel| texel.to_array()).collect::<Vec<_>>();
+    image_error(&[pixels(reference), pixels(test)], size, 6 * size)
+        .map_err(|error| Error::request("cubemap", error.to_string()))
+}
+
+/// Norms of what a screen shows of colours that are no image. There is at least one, and as many in both.
+pub fn compare_colours(reference: &[LinearRgb], test: &[LinearRgb]) -> ErrorNorms {
+    let shown =
+        |colours: &[LinearRgb]| displayed(&colours.iter().map(|colour| colour.0.to_array()).collect::<Vec<_>>());
+    ErrorNorms::between(&shown(reference), &shown(test))
+}
+
+fn image_error(
+    linear: &[Vec<[f32; 3]>; 2],
+    width: usize,
+    height: usize,
+) -> std::result::Result<ImageError, flip_rs::FlipError> {
+    let display = linear.each_ref().map(|pixels| displayed(pixels));
     Ok(ImageError {
         pixels: linear[0].len() as u64,
         linear: ErrorNorms::between(&linear[0], &linear[1]),
         display: ErrorNorms::between(&display[0], &display[1]),
-        flip: mean_flip(&display, width, height).map_err(|error| Error::unsupported(test, error.to_string()))?,
+        flip: mean_flip(&display, width, height)?,
     })
+}
+
+/// What a screen shows.
+fn displayed(pixels: &[[f32; 3]]) -> Vec<[f32; 3]> {
+    pixels.iter().map(|pixel| pixel.map(|value| linear_to_srgb(value).clamp(0.0, 1.0))).collect()
 }
 
 /// Compares two bakes, each given by its folder or its manifest, probe by probe: folders of the same name, up to two

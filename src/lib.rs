@@ -3,7 +3,7 @@
 //! # Map of the crate
 //!
 //! The modules stand in the order in which the data flows. A module imports only from modules above it in this list
-//! (`tests/layering.rs` holds the rule); [`pipeline`] is the only place that knows them all.
+//! (`tests/tool/layering.rs` holds the rule); [`pipeline`] is the place that knows them all.
 //!
 //! ```text
 //! error      one error type, sorted by who must act
@@ -24,6 +24,7 @@
 //! preview    a bake as one HTML file, for people
 //! cache      what earlier bakes found out, by the hash of all that it depends on
 //! pipeline   the whole bake as a handful of calls
+//! bench      run time against error, setting by setting
 //! ```
 //!
 //! # Conventions
@@ -66,5 +67,7 @@ pub mod preview;
 pub mod cache;
 
 pub mod pipeline;
+
+pub mod bench;
 
 pub use error::{Error, Result};

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use bytesize::ByteSize;
 use clap::Args;
 use splatprobe::job::{
-    Background, Crop, Footprint, Frame, HdrEncoding, Job, MeshInput, MissingTexture, Order, OutputKind, Pixel,
+    Background, Crop, Footprint, Frame, HdrEncoding, Job, MeshInput, MissingTexture, Order, OutputKind, Pixel, Preset,
     ProgressStyle, RoughnessCurve, ShDirection, Shard, SplatInput, Surface, Tonemapper, Tracer, Transform,
     parse_numbers,
 };
@@ -152,6 +152,9 @@ pub struct Bake {
     #[arg(long, value_name = "FRACTION", help_heading = "Placement")]
     overlap: Option<f64>,
 
+    /// Where settings come from that neither flags nor the job file state [default: standard].
+    #[arg(long, value_name = "PRESET", help_heading = "Tracing")]
+    preset: Option<Preset>,
     /// Edge of a cube face, in pixels [default: 256].
     #[arg(long, value_name = "PX", help_heading = "Tracing")]
     face_size: Option<u32>,
@@ -231,7 +234,10 @@ impl Bake {
 
     /// The job file's settings, or the defaults, overridden by the flags.
     pub fn into_job(self) -> Result<Job> {
-        let mut job = self.job.map_or_else(|| Ok(Job::default()), |path| Job::from_file(&path))?;
+        let mut job = match self.job {
+            Some(path) => Job::from_file(&path, self.preset)?,
+            None => self.preset.unwrap_or_default().job(),
+        };
 
         if !self.splats.is_empty() {
             job.splats = self.splats.into_iter().map(SplatInput::new).collect();
@@ -379,7 +385,7 @@ mod tests {
         std::fs::write(&path, text).unwrap();
         let line = "--splats b.ply --splat-frame rub --splat-transform s=2 --splat-encoding lin-scene --crop sphere:-1,2,3,4 \
             --min-opacity 0.25 --lod 2 --mesh c.glb --mesh-transform t=1,2,3 --mesh-scene 1 --variant red --missing-texture magenta --background 1,2,3 -o out --pixel float --distance --stats s.json --outputs mips,latlong-hdr --mips 5 --roughness-curve unity --hdr-encoding rgb9e5 --exposure -1.5 --match-tonemapper pbr-neutral --highlight-expansion 8 --sh-degree 3 --sh-window --calibration \
-            --bounds -1,-2,-3,1,2,3 --grid 2,3,4 --overlap 0.5 --face-size 16 --samples 2 --footprint train:800 --order cameraDistance \
+            --bounds -1,-2,-3,1,2,3 --grid 2,3,4 --overlap 0.5 --preset draft --face-size 16 --samples 2 --footprint train:800 --order cameraDistance \
             --sh-direction ray --t-cutoff 0 --t-near 0.5 --surface path --noise 0.5 --max-paths 64 --tracer reference --threads 3 --progress json \
             --cache kept --no-cache --shard 2/7 --depfile out.d --time-budget 1.5 --max-memory 3GiB";
         let line: Vec<&str> = [path.to_str().unwrap()].into_iter().chain(line.split_whitespace()).collect();
@@ -390,13 +396,20 @@ mod tests {
                 "variant": "red", "missingTexture": "magenta"}],
             "output": "out", "stats": "s.json", "progress": "json", "threads": 3, "background": [1, 2, 3],
             "pixel": "float", "distance": true, "outputs": ["mips", "latlong-hdr"], "mips": 5, "roughnessCurve": "unity",
-            "hdrEncoding": "rgb9e5", "exposure": -1.5, "matchTonemapper": "pbr-neutral", "highlightExpansion": 8, "shDegree": 3, "shWindow": true, "calibration": true, "faceSize": 16, "samples": 2, "footprint": "train:800", "order": "cameraDistance",
+            "hdrEncoding": "rgb9e5", "exposure": -1.5, "matchTonemapper": "pbr-neutral", "highlightExpansion": 8, "shDegree": 3, "shWindow": true, "calibration": true, "preset": "draft", "faceSize": 16, "samples": 2, "footprint": "train:800", "order": "cameraDistance",
             "shDirection": "ray", "tCutoff": 0, "tNear": 0.5, "surface": "path", "noise": 0.5, "maxPaths": 64, "tracer": "reference",
             "cache": "kept", "noCache": true, "shard": "2/7", "depfile": "out.d", "timeBudget": 1.5, "maxMemory": "3.0 GiB",
             "placement": {"bounds": [-1, -2, -3, 1, 2, 3], "grid": [2, 3, 4], "overlap": 0.5}
         }"#;
         let expected = Job { file: Some(path.clone()), ..serde_json::from_str(expected).unwrap() };
         assert_eq!(job(&line).unwrap(), expected);
+    }
+
+    #[test]
+    fn a_preset_gives_what_is_not_stated() {
+        assert_eq!(job(&["--preset", "draft"]).unwrap(), Preset::Draft.job());
+        let reference = job(&["--preset", "reference", "--samples", "1"]).unwrap();
+        assert_eq!(reference, Job { samples: 1, ..Preset::Reference.job() });
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The command line: declares flags, maps them to library calls, reports. One file per subcommand.
 
 mod bake;
+mod bench;
 mod cache;
 mod compare;
 mod export;
@@ -37,6 +38,7 @@ enum Command {
     Inspect(inspect::Inspect),
     Verify(verify::Verify),
     Compare(compare::Compare),
+    Bench(bench::Bench),
     Export(export::Export),
     Preview(preview::Preview),
     Schema(schema::Schema),
@@ -53,6 +55,7 @@ impl Cli {
             Command::Inspect(command) => command.run(),
             Command::Verify(command) => command.run(),
             Command::Compare(command) => command.run(),
+            Command::Bench(command) => command.run(),
             Command::Export(command) => command.run(),
             Command::Preview(command) => command.run(),
             Command::Schema(command) => command.run(),

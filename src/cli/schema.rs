@@ -3,10 +3,11 @@
 use clap::{Args, ValueEnum};
 use splatprobe::Result;
 use splatprobe::bake::ProgressEvent;
+use splatprobe::bench::BenchReport;
 use splatprobe::job::Job;
 use splatprobe::manifest::Manifest;
 
-/// Print the JSON Schema of the job file, of the manifest, or of the events of a bake.
+/// Print the JSON Schema of the job file, of the manifest, of the events of a bake, or of a bench.
 #[derive(Debug, Args)]
 pub struct Schema {
     /// Which one.
@@ -21,6 +22,8 @@ enum Document {
     Manifest,
     /// A line of `bake --progress json`.
     Progress,
+    /// The `bench.json` that `bench` writes.
+    Bench,
 }
 
 impl Schema {
@@ -29,6 +32,7 @@ impl Schema {
             Document::Job => schemars::schema_for!(Job),
             Document::Manifest => schemars::schema_for!(Manifest),
             Document::Progress => schemars::schema_for!(ProgressEvent),
+            Document::Bench => schemars::schema_for!(BenchReport),
         };
         Ok(super::json(schema.as_value()))
     }

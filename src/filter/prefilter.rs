@@ -11,9 +11,9 @@ use crate::trace::Level;
 /// Samples of the widest GGX lobe and of the Lambertian one, per texel. Narrower lobes take fewer in proportion to their
 /// roughness: measured, the error is then about the same along a chain, well under 1 % of a room with a lamp 100 times as
 /// bright as its walls (`tests/filter.rs`).
-const SAMPLES: u32 = 2048;
+pub const SAMPLES: u32 = 2048;
 
-/// Samples of the narrowest lobe.
+/// Samples of the narrowest lobe, of [`SAMPLES`] of the widest.
 const MIN_SAMPLES: u32 = 256;
 
 /// A mip of a roughness chain.
@@ -29,6 +29,8 @@ pub struct RoughnessMip {
 #[derive(Debug, Clone)]
 pub struct Prefilter {
     source: RgbCubemap,
+    /// Of the widest lobes.
+    samples: u32,
     /// Edges of the mips' faces; the first is the source's.
     sizes: Vec<u32>,
     mips: Vec<Sampler>,
@@ -44,7 +46,12 @@ impl Prefilter {
             reduced = reduced.reduced(size);
             mips.push(Sampler::new(&reduced));
         }
-        Self { source, sizes, mips }
+        Self { source, samples: SAMPLES, sizes, mips }
+    }
+
+    /// The same with another number of samples than [`SAMPLES`].
+    pub fn with_samples(self, samples: u32) -> Self {
+        Self { samples, ..self }
     }
 
     /// Looks up the source without any convolution.
@@ -73,13 +80,14 @@ impl Prefilter {
         if roughness == 0.0 && size <= self.source.size() {
             return self.source.reduced(size);
         }
-        let samples = ((f64::from(SAMPLES) * roughness) as u32).max(MIN_SAMPLES);
+        let least = self.samples / (SAMPLES / MIN_SAMPLES);
+        let samples = ((f64::from(self.samples) * roughness) as u32).max(least).max(1);
         self.convolve(&Lobe::ggx(roughness, samples, &self.sizes), size)
     }
 
     /// Irradiance over pi, by normal: what a white Lambertian surface reflects.
     pub fn irradiance(&self, size: u32) -> RgbCubemap {
-        self.convolve(&Lobe::lambert(SAMPLES, &self.sizes), size)
+        self.convolve(&Lobe::lambert(self.samples, &self.sizes), size)
     }
 
     /// A chain of `count` mips, from the source's size by halves, with the roughnesses of `curve`; fewer where a single texel

@@ -80,12 +80,19 @@ pub fn inspect_splats(path: &Path) -> Result<SplatReport> {
 
 /// What is in the file at `path`, splats and meshes, understood with the format's defaults. Errors as in [`load_scene`].
 pub fn inspect(path: &Path) -> Result<SceneReport> {
-    let (splats, meshes) = if requests::holds_meshes(path)? {
-        (Vec::new(), vec![MeshInput::new(path)])
-    } else {
-        (vec![SplatInput::new(path)], Vec::new())
-    };
+    let (splats, meshes) = inputs_of(path)?;
     load_scene(&splats, &meshes).map(|(_, report)| report)
+}
+
+/// The file at `path` as the input that it is by its content: of splats or, where it may hold meshes, of meshes.
+///
+/// # Errors
+/// [`Error::Read`] when it cannot be read, [`Error::Invalid`] when it is broken.
+pub fn inputs_of(path: &Path) -> Result<(Vec<SplatInput>, Vec<MeshInput>)> {
+    Ok(match requests::holds_meshes(path)? {
+        true => (Vec::new(), vec![MeshInput::new(path)]),
+        false => (vec![SplatInput::new(path)], Vec::new()),
+    })
 }
 
 /// All mesh inputs, merged.

@@ -2,19 +2,27 @@
 
 use std::path::{Path, PathBuf};
 
-use super::{Background, Job};
+use serde_json::{Map, Value};
+
+use super::{Background, Job, Preset};
 use crate::{Error, Result};
 
 impl Job {
     /// Reads a job file (schemas/job.schema.json); relative paths in it become relative to its folder.
     ///
+    /// What the file does not state comes from `preset` or, without one, from the file's own.
+    ///
     /// Fails when the file cannot be read, or is not a job: the error then names line and column. What the values
     /// mean together is [`Job::validate`]'s to check.
-    pub fn from_file(path: &Path) -> Result<Self> {
+    pub fn from_file(path: &Path, preset: Option<Preset>) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|source| Error::read(path, source))?;
-        let mut job: Self = serde_json::from_str(&text).map_err(|error| {
+        let broken = |error: serde_json::Error| {
             Error::invalid(path, format!("{}:{}", error.line(), error.column()), without_position(&error))
-        })?;
+        };
+        let stated: Self = serde_json::from_str(&text).map_err(broken)?;
+        let preset = preset.unwrap_or(stated.preset);
+        let mut job = if preset == Preset::default() { stated } else { on_top_of(preset, &text).map_err(broken)? };
+        job.preset = preset;
         let folder = path.parent().unwrap_or(Path::new(""));
         let inputs = job.splats.iter_mut().map(|input| &mut input.path);
         let inputs = inputs.chain(job.meshes.iter_mut().map(|input| &mut input.path));
@@ -29,6 +37,14 @@ impl Job {
         job.file = Some(path.to_owned());
         Ok(job)
     }
+}
+
+/// The job of `preset`, with all that `text` states instead.
+fn on_top_of(preset: Preset, text: &str) -> serde_json::Result<Job> {
+    let stated: Map<String, Value> = serde_json::from_str(text)?;
+    let mut fields: Map<String, Value> = serde_json::from_value(serde_json::to_value(preset.job())?)?;
+    fields.extend(stated);
+    serde_json::from_value(Value::Object(fields))
 }
 
 /// `Path::join` keeps an absolute path as it is.
@@ -53,7 +69,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("job.json");
         std::fs::write(&path, text).unwrap();
-        (folder.path().to_owned(), Job::from_file(&path))
+        (folder.path().to_owned(), Job::from_file(&path, None))
     }
 
     #[test]
@@ -78,7 +94,24 @@ mod tests {
     #[test]
     fn a_cut_off_file_is_an_error_and_an_absent_one_another() {
         assert!(matches!(load("{").1, Err(Error::Invalid { .. })));
-        assert!(matches!(Job::from_file(Path::new("absent.json")), Err(Error::Read { .. })));
+        assert!(matches!(Job::from_file(Path::new("absent.json"), None), Err(Error::Read { .. })));
+    }
+
+    #[test]
+    fn what_a_file_states_wins_over_any_preset_and_a_flag_over_the_files() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("job.json");
+        std::fs::write(&path, r#"{"preset": "draft", "faceSize": 99, "placement": {"grid": [1, 2, 3]}}"#).unwrap();
+        let draft = Job::from_file(&path, None).unwrap();
+        let expected = Job { face_size: 99, placement: draft.placement.clone(), ..Preset::Draft.job() };
+        assert_eq!(draft, expected);
+        assert_eq!(draft.placement.grid, Some([1, 2, 3]));
+        let reference = Job::from_file(&path, Some(Preset::Reference)).unwrap();
+        assert_eq!((reference.face_size, reference.samples), (99, Preset::Reference.job().samples));
+        // Even back to what the standard is.
+        std::fs::write(&path, r#"{"preset": "draft", "faceSize": 256}"#).unwrap();
+        assert_eq!(Job::from_file(&path, None).unwrap().face_size, 256);
+        assert_eq!(Preset::Standard.job(), Job::default());
     }
 
     #[test]

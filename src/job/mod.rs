@@ -8,6 +8,7 @@ mod file;
 mod footprint;
 mod inputs;
 mod outputs;
+mod preset;
 mod shard;
 mod validate;
 
@@ -22,6 +23,7 @@ pub use crop::Crop;
 pub use footprint::Footprint;
 pub use inputs::{Frame, MeshInput, MissingTexture, SplatInput, Transform, parse_numbers};
 pub use outputs::{HdrEncoding, OutputKind, RoughnessCurve, Tonemapper};
+pub use preset::Preset;
 pub use shard::Shard;
 pub use validate::{MAX_FACE_SIZE, MAX_MIPS, MAX_PATHS, MAX_PROBES, MAX_SAMPLES};
 
@@ -190,6 +192,10 @@ pub struct Job {
     pub output: Option<PathBuf>,
     /// Where probes stand. Default: nowhere; a grid, a list or adaptive placement is needed.
     pub placement: Placement,
+    /// Where settings of speed and accuracy come from that the file does not state: `faceSize`, `samples`, `footprint`,
+    /// `tCutoff`, `noise`, `maxPaths`. Default: standard.
+    #[serde(skip_serializing_if = "is_default")]
+    pub preset: Preset,
     /// Edge of a cube face, in pixels. Default: 256.
     #[schemars(range(min = 1, max = 8192))]
     pub face_size: u32,
@@ -309,6 +315,7 @@ impl Default for Job {
             meshes: Vec::new(),
             output: None,
             placement: Placement::default(),
+            preset: Preset::default(),
             face_size: 256,
             samples: 1,
             footprint: Footprint::default(),
@@ -358,11 +365,13 @@ impl Job {
     }
 
     /// The part that decides the bytes of the result: no output folder, no threads, no reporting, and of each input's
-    /// path only the file name, so that a bake's manifest does not depend on where or how it was run.
+    /// path only the file name, so that a bake's manifest does not depend on where or how it was run. Settings are what they
+    /// are, whichever preset they come from.
     pub fn result_settings(&self) -> Self {
         let mut job = Self {
             file: None,
             output: None,
+            preset: Preset::default(),
             threads: 0,
             progress: ProgressStyle::default(),
             stats: None,

@@ -10,6 +10,7 @@ mod merge;
 mod output;
 mod placement;
 mod plan;
+mod surfaces;
 mod tracing;
 mod workspace;
 
@@ -23,7 +24,7 @@ use serde::Serialize;
 use self::inputs::{Content, Inputs};
 use self::memory::Memory;
 use self::output::Output;
-use self::plan::{Loaded, Plan};
+use self::plan::Plan;
 use self::tracing::{Done, Tracing};
 use self::workspace::Workspace;
 use crate::bake::{Progress, Silent};
@@ -39,6 +40,10 @@ use crate::{Error, Result};
 pub use merge::merge;
 
 pub use output::PREVIEW_FILE;
+
+pub(crate) use plan::Loaded;
+pub(crate) use surfaces::JobSurfaces;
+pub(crate) use tracing::tracer;
 
 /// What a bake did and how long it took; the content of `--stats`.
 #[derive(Debug, Clone, Serialize)]
@@ -234,7 +239,7 @@ fn manifest_of(job: &Job, plan: &Plan, records: Vec<Option<manifest::ProbeRecord
 }
 
 /// The job's settings for faces of `rays` rays along an edge.
-fn trace_settings(job: &Job, order: Order, rays: u32) -> TraceSettings {
+pub(crate) fn trace_settings(job: &Job, order: Order, rays: u32) -> TraceSettings {
     TraceSettings {
         order,
         sh_direction: job.sh_direction,

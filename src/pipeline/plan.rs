@@ -29,7 +29,7 @@ use crate::trace::{BeamTracer, RayTracer, TraceSettings, footprint};
 use crate::{Error, Result};
 
 /// A scene in memory, ready to be traced.
-pub(super) struct Loaded {
+pub(crate) struct Loaded {
     pub scene: Scene,
     pub bvh: Bvh,
     pub report: SceneReport,

@@ -12,18 +12,19 @@ use super::inputs::Content;
 use super::memory::{Memory, Parts, Site};
 use super::output::Output;
 use super::plan::{Loaded, Plan};
+use super::surfaces::JobSurfaces;
 use super::trace_settings;
 use crate::Result;
 use crate::bake::{self, BakeSettings, Calibration, Progress};
 use crate::cache::{Digests, Key};
-use crate::job::{Job, OutputKind, Surface, Tracer};
+use crate::job::{Job, OutputKind, Tracer};
 use crate::place::Probe;
 use crate::place::free_space::Space;
+use crate::shade::UnlitSurfaces;
 use crate::shade::path::SurfaceNoise;
-use crate::shade::{LocallyLitSurfaces, PathSettings, PathSurfaces, UnlitSurfaces, local};
 use crate::trace::ray::RayScratch;
 use crate::trace::{
-    BeamTracer, CounterReport, Counters, RayTracer, ReferenceTracer, Surfaces, TileTracer, TraceSettings, footprint,
+    BeamTracer, CounterReport, Counters, RayTracer, ReferenceTracer, Surfaces, TileTracer, TraceSettings,
 };
 
 /// A bake of some probes of a plan.
@@ -54,33 +55,14 @@ pub(super) struct Done {
 impl Tracing<'_> {
     /// Traces the probes with the numbers `missing` in `loaded`, and writes them.
     pub fn run(&self, loaded: &Loaded, missing: &[usize]) -> Result<Done> {
-        let Loaded { scene, bvh, .. } = loaded;
+        let Loaded { scene, .. } = loaded;
         let Job { face_size, samples, .. } = *self.job;
         let rules = trace_settings(self.job, self.plan.order, face_size * samples);
-        let ray_angle = footprint::ray_angle(face_size * samples);
-        let unlit = UnlitSurfaces::new(&scene.meshes).for_rays_of(ray_angle);
         let origins: Vec<DVec3> = self.plan.probes.iter().map(|probe| probe.position - scene.origin).collect();
-        let lit = (self.job.surface == Surface::Path).then(|| {
-            let Job { noise, max_paths, .. } = *self.job;
-            let settings = PathSettings { noise, max_paths, ..PathSettings::default() };
-            PathSurfaces::new(scene, bvh, rules, settings, &origins).for_rays_of(ray_angle)
-        });
-        let locally_lit = (self.job.surface == Surface::Probe)
-            .then(|| {
-                self.progress.stage("baking the cubemaps that light the meshes");
-                let rules = trace_settings(self.job, self.plan.order, local::FACE_SIZE);
-                LocallyLitSurfaces::new(scene, bvh, rules, self.cancel)
-            })
-            .transpose()?
-            .map(|surfaces| surfaces.for_rays_of(ray_angle));
-        let surfaces: &dyn Surfaces = match (&lit, &locally_lit) {
-            (Some(lit), _) => lit,
-            (_, Some(lit)) => lit,
-            _ => &unlit,
-        };
+        let surfaces = JobSurfaces::new(self.job, self.plan.order, loaded, &origins, self.progress, self.cancel)?;
         let is_counted = self.job.stats.is_some() && self.job.tracer == Tracer::Beam;
         let counters = is_counted.then(|| Counters::new(scene.splats.len()));
-        let tracer = tracer(self.job, rules, loaded, surfaces, counters.as_ref());
+        let tracer = tracer(self.job, rules, loaded, surfaces.as_dyn(), counters.as_ref());
 
         let settings = self.job.bake_settings();
         let edges = self.job.outputs.contains(&OutputKind::Envmap).then(|| edge_settings(&settings));
@@ -99,7 +81,7 @@ impl Tracing<'_> {
             if done.probes > 0 && self.deadline.is_some_and(|deadline| Instant::now() >= deadline) {
                 return Ok(());
             }
-            let noise_of = |number: usize| lit.as_ref().and_then(|lit| lit.noise_of(origins[number]));
+            let noise_of = |number: usize| surfaces.noise_of(origins[number]);
             let pass = Pass { tracing: self, loaded, tracer: &*tracer, rules, parts: &parts, numbers };
             done.rays += pass.radiance(&settings, &noise_of, edges.is_none())?;
             if let Some(edges) = &edges {
@@ -233,7 +215,8 @@ fn edge_settings(settings: &BakeSettings) -> BakeSettings {
     BakeSettings { samples: settings.samples.next_multiple_of(2), distance: false, edge_texels: true, ..*settings }
 }
 
-fn tracer<'a>(
+/// What computes the radiance along the rays of `job`.
+pub(crate) fn tracer<'a>(
     job: &Job,
     settings: TraceSettings,
     loaded: &'a Loaded,

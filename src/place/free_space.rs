@@ -7,6 +7,7 @@ use glam::DVec3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::scene::Bounds;
 use crate::shade::sampling::fibonacci;
 use crate::trace::ray::RayScratch;
 use crate::trace::{EverySurface, Ray, RayTracer, SurfaceHit};
@@ -24,6 +25,9 @@ const FREE: f32 = 0.7;
 
 /// Rays of [`Space::surroundings`].
 const RAYS: usize = 32;
+
+/// Ellipsoids around the middle of a box, up to the one that touches its sides, on which [`Space::free_place`] looks.
+const SHELLS: usize = 16;
 
 /// A point with a larger share of escaping rays has nothing around it.
 const ESCAPING: f64 = 0.8;
@@ -100,6 +104,25 @@ impl Space<'_> {
             }
         }
         true
+    }
+
+    /// A place for a single probe in `bounds`, if a few hundred hold one: the free one inside of the scene that is nearest to
+    /// the middle, by the bounds' own measure; of a scene without inside, the free one.
+    pub fn free_place(&self, bounds: &Bounds) -> Option<DVec3> {
+        let shell = |k: usize| (0..RAYS).map(move |i| fibonacci(i, RAYS) * (k as f64 / SHELLS as f64));
+        let places = std::iter::once(DVec3::ZERO).chain((1..SHELLS).flat_map(shell));
+        let mut scratch = RayScratch::default();
+        let reach = 4.0 * bounds.extent().length();
+        let mut free = None;
+        for place in places.map(|offset| bounds.centre() + offset * bounds.extent() / 2.0) {
+            if self.is_free(place, &mut scratch) {
+                if self.surroundings(place, reach, &mut scratch).is_ok() {
+                    return Some(place);
+                }
+                free = free.or(Some(place));
+            }
+        }
+        free
     }
 
     /// Whether the point lies inside of the scene; else why not. Rays reach `reach` metres, more than the scene's size.

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-/// The last stage knows every other one; the list above it is what the rule is about.
+/// This stage may know every other one; the list above it is what the rule is about.
 const FREE: &str = "pipeline";
 
 fn source_root() -> PathBuf {

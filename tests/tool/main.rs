@@ -6,6 +6,7 @@ mod cli;
 mod common;
 
 mod bad_input;
+mod bench;
 mod commands;
 mod demo;
 mod layering;

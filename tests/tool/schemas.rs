@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use schemars::Schema;
 use serde_json::{Value, json};
 use splatprobe::bake::ProgressEvent;
+use splatprobe::bench::BenchReport;
 use splatprobe::job::Job;
 use splatprobe::manifest::Manifest;
 
@@ -25,6 +26,7 @@ fn committed_schemas_are_those_of_the_types() {
     check("job.schema.json", schemars::schema_for!(Job));
     check("manifest.schema.json", schemars::schema_for!(Manifest));
     check("progress.schema.json", schemars::schema_for!(ProgressEvent));
+    check("bench.schema.json", schemars::schema_for!(BenchReport));
 }
 
 #[test]
@@ -36,7 +38,7 @@ fn a_job_with_every_field_is_valid_by_the_schema_and_a_wrong_one_is_not() {
         "meshes": [{"path": "chair.glb", "transform": {"rotation": [0, 1, 0, 0], "scale": [2, 2, 2]}, "scene": "Main"}],
         "output": "out",
         "placement": {"bounds": [-4, 0, -4, 4, 3, 4], "grid": [3, 1, 3], "probes": [], "overlap": 0.1},
-        "faceSize": 256, "samples": 1, "footprint": "train:812.5", "order": "rayHitDistance", "shDirection": "mean", "tCutoff": 0.001, "tNear": 0,
+        "preset": "draft", "faceSize": 256, "samples": 1, "footprint": "train:812.5", "order": "rayHitDistance", "shDirection": "mean", "tCutoff": 0.001, "tNear": 0,
         "surface": "unlit", "tracer": "ray", "pixel": "half", "distance": true,
         "outputs": ["strip", "ktx2"], "mips": 7, "roughnessCurve": "filament", "hdrEncoding": "rgb9e5", "exposure": -1, "matchTonemapper": "agx", "highlightExpansion": 4,
         "shDegree": 3, "shWindow": true, "calibration": false, "background": [0, 0, 0],

@@ -21,7 +21,7 @@ pub struct Sample {
 }
 
 pub fn three_scenes() -> [Sample; 3] {
-    let demo = Job::from_file(&Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/demo/demo.json")).unwrap();
+    let demo = Job::from_file(&Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/demo/demo.json"), None).unwrap();
     let (demo, _) = load_scene(&demo.splats, &demo.meshes).unwrap();
     let extreme = Scene { splats: cloud(20_000, [4e-5, 0.5], 1, 51), ..Scene::default() };
     let mut mixed = Scene { splats: cloud(4000, [0.01, 0.4], 3, 52), ..Scene::default() };
