@@ -1,7 +1,7 @@
 //! What lit surfaces cost, and how far they are from many paths.
 //!
 //! Paths of a row are the first of the truth's, so that the error of N paths against M is understated by the factor
-//! sqrt(1 - N / M): 3 % at a sixteenth.
+//! sqrt(1 - N / M): 3 % at a sixteenth, 13 % at a quarter, which is the most that is tried.
 
 use std::time::Instant;
 

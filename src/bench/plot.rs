@@ -165,9 +165,10 @@ fn panel(svg: &mut String, corner: [f64; 2], scene: &SceneBench, record: &TruthR
     }
     let mut taken: Vec<[f64; 4]> = places.iter().map(|[x, y]| [x - 4.0, y - 4.0, x + 4.0, y + 4.0]).collect();
     taken.extend(line.windows(2).flat_map(|ends| along(ends[0], ends[1])));
-    let [left, right] = [corner[0] + MARGIN[0], corner[0] + PANEL[0] - MARGIN[2]];
+    let [left, up, right, down] = MARGIN;
+    let inside = [corner[0] + left, corner[1] + up, corner[0] + PANEL[0] - right, corner[1] + PANEL[1] - down];
     for ((row, _), place) in rows.iter().zip(&places) {
-        let label = label_box(*place, &row.label, [left, right], &taken);
+        let label = label_box(*place, &row.label, inside, &taken);
         leader(svg, *place, label);
         text(svg, [label[0], label[3] - 2.5], "fill=\"#222222\" font-size=\"10\"", &row.label);
         taken.push(label);
@@ -192,8 +193,8 @@ fn along(from: [f64; 2], to: [f64; 2]) -> impl Iterator<Item = [f64; 4]> {
     })
 }
 
-/// Where a label goes: beside its point, or wherever near it is still free.
-fn label_box([x, y]: [f64; 2], label: &str, [left, right]: [f64; 2], taken: &[[f64; 4]]) -> [f64; 4] {
+/// Where a label goes: beside its point, or wherever near it and `inside` is still free.
+fn label_box([x, y]: [f64; 2], label: &str, inside: [f64; 4], taken: &[[f64; 4]]) -> [f64; 4] {
     let (width, height) = (label.len() as f64 * LETTER[0], LETTER[1]);
     let corners = (0..12).flat_map(|ring| {
         let away = height * 0.75 * f64::from(ring);
@@ -204,7 +205,8 @@ fn label_box([x, y]: [f64; 2], label: &str, [left, right]: [f64; 2], taken: &[[f
             [x - 7.0 - width, y - height / 2.0 + away],
         ]
     });
-    let boxes = corners.map(|[x, y]| [x, y, x + width, y + height]).filter(|b| b[0] >= left && b[2] <= right);
+    let is_inside = |b: &[f64; 4]| (0..2).all(|k| b[k] >= inside[k] && b[k + 2] <= inside[k + 2]);
+    let boxes = corners.map(|[x, y]| [x, y, x + width, y + height]).filter(is_inside);
     let overlaps = |a: &[f64; 4], b: &[f64; 4]| a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
     let beside = [x + 7.0, y - height / 2.0, x + 7.0 + width, y + height / 2.0];
     let mut free = boxes.filter(|place| !taken.iter().any(|other| overlaps(place, other)));

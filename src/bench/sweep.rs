@@ -168,10 +168,11 @@ impl Sweep {
     pub fn light(&self) -> Vec<Variant> {
         let base = self.light_base();
         let path = |noise: f32, max_paths: u32| Job { surface: Surface::Path, noise, max_paths, ..base.clone() };
-        let presets = [Preset::Draft, Preset::Standard].map(|preset| {
-            let Job { noise, max_paths, .. } = preset.job();
-            (format!("surface path, noise {noise}"), path(noise, max_paths))
-        });
+        // Paths that are most of the truth's would err by nothing.
+        let truth_paths = self.values.truth_paths;
+        let presets = Preset::ALL.into_iter().map(Preset::job).filter(|job| job.max_paths <= truth_paths / 4);
+        let presets = presets
+            .map(|Job { noise, max_paths, .. }| (format!("surface path, noise {noise}"), path(noise, max_paths)));
         let counts = self.values.paths.iter().map(|&paths| (format!("surface path, {paths} paths"), path(0.0, paths)));
         let others = [("surface unlit", Surface::Unlit), ("surface probe", Surface::Probe)];
         let others = others.map(|(label, surface)| (label.to_owned(), Job { surface, ..base.clone() }));

@@ -1,11 +1,12 @@
 //! `splatprobe bench`: run time against error.
 
+use std::io::ErrorKind;
 use std::path::PathBuf;
 
 use clap::Args;
-use splatprobe::Result;
 use splatprobe::bench::{BenchSettings, Source, bench};
 use splatprobe::job::parse_numbers;
+use splatprobe::{Error, Result};
 
 /// Measure what each setting costs and what it is worth on a scene: run time against error, as a table on stdout and as
 /// bench.json, bench.md and bench.svg in the output folder.
@@ -40,6 +41,10 @@ pub struct Bench {
 impl Bench {
     pub fn run(self) -> Result<String> {
         let sources = self.scenes.iter().map(|scene| Source::parse(scene, self.sh)).collect::<Result<Vec<_>>>()?;
+        // Measuring takes minutes; what stands in the way of the folder is told before.
+        if self.output.is_file() {
+            return Err(Error::write(&self.output, ErrorKind::NotADirectory.into()));
+        }
         let settings = BenchSettings { probes: self.probe, repeats: self.repeats, quick: self.quick };
         let words: Vec<String> = std::env::args().skip(1).collect();
         let command = format!("splatprobe {}", words.join(" "));

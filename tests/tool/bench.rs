@@ -135,4 +135,6 @@ fn wrong_benches_exit_with_2_and_say_what_is_wrong() {
         assert!(said.contains(named) && !said.contains("panicked"), "{line}: {said}");
     }
     assert!(!folder.path().join("out").exists());
+    let output = splatprobe(folder.path(), "bench interior:10 -o empty.json");
+    assert_eq!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stderr));
 }
