@@ -88,7 +88,7 @@ peers() {
     cargo build --release --quiet
     cargo run --release --quiet --example make_interior -- 1000000 3 "$work/interior.ply"
     export DRJIT_LIBLLVM_PATH=${DRJIT_LIBLLVM_PATH:-$(ls /usr/lib/*/libLLVM.so.19* 2>/dev/null | head -1)}
-    run "$tools/python/bin/python" benches/peers/rays.py "$work/interior.ply" --probe 7.5,1.6,6.3 --sizes 256,800 \
+    run "$tools/python/bin/python" benches/peers/rays.py "$work/interior.ply" --probe 7.5,1.6,6.3 --sizes 64,256 \
         --splatprobe target/release/splatprobe --out "$work/peers"
 }
 
