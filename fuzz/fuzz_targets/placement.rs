@@ -20,7 +20,8 @@ libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
     let (borders, probes) = points.split_at(points.len().min(usize::from(borders)));
     // Near-duplicates: every other probe is moved by next to nothing.
     let nudge = f64::from(tiny) * 1e-15;
-    let probes: Vec<(u32, DVec3)> = (0..).zip(probes).map(|(i, p)| (i, DVec3::new(p.x + nudge * f64::from(i % 2), 1.5, p.y))).collect();
+    let probes: Vec<(u32, DVec3)> =
+        (0..).zip(probes).map(|(i, p)| (i, DVec3::new(p.x + nudge * f64::from(i % 2), 1.5, p.y))).collect();
     let edges = (0..borders.len() / 2).map(|i| [2 * i, 2 * i + 1]).collect();
     let contours = Contours { points: borders.to_vec(), edges };
     let height = Height { y: 1.5, floor: 0.0, ceiling: 3.0 };
