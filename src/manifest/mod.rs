@@ -31,8 +31,9 @@ pub const FILE_NAME: &str = "manifest.json";
 pub const WORK_FOLDER: &str = ".splatprobe";
 
 impl Manifest {
-    /// Reads a manifest. Fails when it cannot be read, is not JSON of the schema (the error names line and column), or is
-    /// of another [`FORMAT_VERSION`], and where it is missing because a bake has not ended.
+    /// Reads a manifest. Fails when it cannot be read, is not JSON of the schema (the error names line and column), is of
+    /// another [`FORMAT_VERSION`], or names vertices or probes that are not there, and where it is missing because a bake
+    /// has not ended.
     pub fn read(path: &Path) -> Result<Self> {
         #[derive(Deserialize)]
         #[serde(rename_all = "camelCase")]
@@ -53,7 +54,32 @@ impl Manifest {
             let what = format!("manifest format {format_version}; this program reads {FORMAT_VERSION}: bake again");
             return Err(Error::unsupported(path, what));
         }
-        serde_json::from_str(&text).map_err(broken)
+        let manifest: Self = serde_json::from_str(&text).map_err(broken)?;
+        match manifest.dangling() {
+            Some(place) => Err(Error::invalid(path, place, "it names a vertex, triangle or probe that is not there")),
+            None => Ok(manifest),
+        }
+    }
+
+    /// Where a level of the placement names something that is not there, as a JSON pointer.
+    fn dangling(&self) -> Option<String> {
+        fn below(count: usize, mut indices: impl Iterator<Item = u32>) -> bool {
+            indices.all(|index| (index as usize) < count)
+        }
+        let levels = self.placement.iter().flat_map(|placement| &placement.levels);
+        levels.enumerate().find_map(|(i, level)| {
+            let (vertices, triangles) = (level.vertices.len(), level.triangles.len());
+            let shares = level.vertices.iter().flat_map(|vertex| &vertex.blend);
+            let fields = [
+                ("vertices", below(self.probes.len(), shares.map(|share| share.probe))),
+                ("triangles", below(vertices, level.triangles.iter().flatten().copied())),
+                ("neighbours", below(triangles, level.neighbours.iter().flatten().flatten().copied())),
+                ("walls", below(vertices, level.walls.iter().flatten().copied())),
+                ("blocked", below(vertices, level.blocked.iter().flatten().copied())),
+            ];
+            let (field, _) = fields.into_iter().find(|(_, is_whole)| !is_whole)?;
+            Some(format!("/placement/levels/{i}/{field}"))
+        })
     }
 
     /// Writes the manifest beside `path` and renames it, so that a reader never sees half of it.
@@ -85,6 +111,8 @@ pub fn digest(path: &Path) -> Result<(u64, String)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::job::Job;
+    use crate::scene::SplatEncoding;
 
     #[test]
     fn a_manifest_of_another_version_is_refused_by_its_version() {
@@ -93,6 +121,36 @@ mod tests {
         std::fs::write(&path, r#"{"formatVersion": 2, "somethingNew": true}"#).unwrap();
         let error = Manifest::read(&path).unwrap_err();
         assert!(matches!(&error, Error::Unsupported { what, .. } if what.contains("format 2")), "{error}");
+    }
+
+    #[test]
+    fn a_placement_whose_indices_point_nowhere_is_refused_with_their_place() {
+        let manifest = Manifest::new(&Job::default(), SplatEncoding::default(), Vec::new(), Vec::new());
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(FILE_NAME);
+        let read = |field: &str, indices: serde_json::Value| {
+            let mut json = serde_json::to_value(&manifest).unwrap();
+            let mut level = serde_json::json!({"height": {"y": 1.5, "floor": 0.0, "ceiling": 3.0}, "vertices": [],
+                "triangles": [], "neighbours": [], "walls": [], "blocked": []});
+            level[field] = indices;
+            json["placement"] = serde_json::json!({"levels": [level], "sites": 0, "relocated": 0, "dropped": [],
+                "checks": serde_json::to_value(crate::place::adaptive::Checks::default()).unwrap()});
+            std::fs::write(&path, json.to_string()).unwrap();
+            Manifest::read(&path)
+        };
+        assert!(read("triangles", serde_json::json!([])).is_ok());
+        let vertex =
+            serde_json::json!([{"position": [0.0, 0.0], "blend": [{"probe": 0, "weight": 1.0}], "isProbe": true}]);
+        for (field, indices) in [
+            ("vertices", vertex),
+            ("triangles", serde_json::json!([[0, 0, 0]])),
+            ("neighbours", serde_json::json!([[null, 0, null]])),
+            ("walls", serde_json::json!([[0, 0]])),
+            ("blocked", serde_json::json!([[0, 0]])),
+        ] {
+            let error = read(field, indices).unwrap_err().to_string();
+            assert!(error.contains(&format!("/placement/levels/0/{field}")), "{error}");
+        }
     }
 
     #[test]

@@ -154,7 +154,7 @@ impl Surfaces for NoSurfaces {
 }
 
 /// Whether the value along the ray hangs on a rounding of f32: some Gaussian's response is 1/255 to within 2e-5 or is
-/// strongest [at the probe](begins_at_the_probe), or two that contribute have their strongest response at the same
+/// strongest within a micrometre of the ray's origin (it counts in front and not behind), or two that contribute have their strongest response at the same
 /// distance to within 1e-6.
 pub fn hangs_on_rounding(scene: &Scene, ray: &Ray) -> bool {
     hangs_on_rounding_under(Footprint::default(), scene, ray)
@@ -162,21 +162,17 @@ pub fn hangs_on_rounding(scene: &Scene, ray: &Ray) -> bool {
 
 /// [`hangs_on_rounding`], of Gaussians that `footprint` has widened.
 pub fn hangs_on_rounding_under(footprint: Footprint, scene: &Scene, ray: &Ray) -> bool {
+    hangs_on_rounding_in(1.0, footprint, scene, ray)
+}
+
+/// [`hangs_on_rounding_under`], in a scene some `metres` large.
+pub fn hangs_on_rounding_in(metres: f64, footprint: Footprint, scene: &Scene, ray: &Ray) -> bool {
     let responses = responses(footprint, scene, ray);
     let mut distances: Vec<f64> = responses.iter().filter(|r| r.contributes(0.0)).map(|r| r.distance).collect();
     distances.sort_by(f64::total_cmp);
     responses.iter().any(|r| (r.alpha / ALPHA_MIN - 1.0).abs() < 2e-5)
         || distances.windows(2).any(|pair| pair[1] / pair[0] - 1.0 < 1e-6)
-        || begin_at_the_probe(&responses)
-}
-
-/// Whether some Gaussian's response is strongest within a micrometre of the ray's origin: it counts in front and not behind.
-pub fn begins_at_the_probe(scene: &Scene, ray: &Ray) -> bool {
-    begin_at_the_probe(&responses(Footprint::default(), scene, ray))
-}
-
-fn begin_at_the_probe(responses: &[gaussian::Response]) -> bool {
-    responses.iter().any(|r| r.alpha >= ALPHA_MIN && r.distance.abs() < 1e-6)
+        || responses.iter().any(|r| r.alpha >= ALPHA_MIN && r.distance.abs() < 1e-6 * metres)
 }
 
 fn responses(footprint: Footprint, scene: &Scene, ray: &Ray) -> Vec<gaussian::Response> {
