@@ -390,15 +390,20 @@ fn image_bounds<S: Simd>(
     ImageBounds { x: ends[0], y: ends[1], nearest: simd.sub_f64s(z, reach), in_front }
 }
 
+/// What of `vector` is not along the unit vector `ahead`.
+#[inline(always)]
+fn without<S: Simd>(simd: S, vector: Vector3<S>, ahead: Vector3<S>) -> Vector3<S> {
+    plus_scaled(simd, vector, ahead, simd.sub_f64s(simd.splat_f64s(0.0), dot(simd, ahead, vector)))
+}
+
 /// The unit vector across `ahead` in the plane that it spans with `toward`; any across `ahead` when the two are parallel
 /// to a rounding.
 #[inline(always)]
 fn unit_across<S: Simd>(simd: S, ahead: Vector3<S>, toward: Vector3<S>) -> Vector3<S> {
     let (zero, one) = (simd.splat_f64s(0.0), simd.splat_f64s(1.0));
-    let without_ahead = |vector| plus_scaled(simd, vector, ahead, simd.sub_f64s(zero, dot(simd, ahead, vector)));
     // Twice: of a thin disc `toward` is all but parallel to `ahead`, and what one pass leaves of that, a rounding of
     // `toward`, would be as large as what lies across.
-    let across = without_ahead(without_ahead(toward));
+    let across = without(simd, without(simd, toward, ahead), ahead);
     let across_squared = dot(simd, across, across);
     // What is left of a vector parallel to `ahead` is roundings, 1e-32 of its square.
     let least = simd.mul_f64s(dot(simd, toward, toward), simd.splat_f64s(1e-28));
