@@ -97,8 +97,8 @@ write('environment/sky.hdr', b'#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 2 +X 4\n
 run = b'\x02\x02\x00\x10' + 4 * b'\x90\x80'
 write('environment/rle.hdr', b'#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 8 +X 16\n' + 8 * run)
 
-write('placement/lattice', bytes([8, 1]) + bytes(v for x in range(0, 40, 8) for z in range(0, 40, 8) for v in (x, z)))
-write('placement/line', bytes([4, 2, 0, 0, 90, 0, 90, 90, 0, 90]) + bytes(v for x in range(1, 60, 3) for v in (x, x)))
+write('placement/rooms', bytes([11]) + bytes(0 if x in (0, 6, 11) or z in (0, 11) and x != 3 else 15 - 2 * (x == 8) for z in range(12) for x in range(12)))
+write('placement/slant', bytes([15]) + bytes(0x3f if abs(x - z) < 4 else 0 for z in range(16) for x in range(16)))
 write('job/full.json', json.dumps({'splats': [{'path': 'a.ply', 'frame': 'rdf', 'crop': {'box': [0, 0, 0, 1, 1, 1]}, 'lod': 1}],
     'meshes': [{'path': 'b.glb', 'scene': '0', 'missingTexture': 'magenta'}], 'background': 'sky.exr', 'output': 'o', 'faceSize': 64,
     'placement': {'probes': [[1, 2, 3]], 'adaptive': 12, 'heights': [1.5]}, 'shard': '1/3', 'footprint': 'pixel', 'exposure': 1.5}))
@@ -121,7 +121,7 @@ fi
 
 if [ -n "${SPLATPROBE_DATA:-}" ]; then
   find "$SPLATPROBE_DATA/meshes" -size -20k \( -name '*.glb' -o -name '*.gltf' \) -exec cp --backup=numbered -t corpus/gltf {} +
-  find "$SPLATPROBE_DATA" -size -30k \( -name '*.png' -o -name '*.jpg' -o -name '*.webp' \) | head -50 | tr '\n' '\0' | xargs -0 cp --backup=numbered -t corpus/texture
+  find "$SPLATPROBE_DATA" -size -8k \( -name '*.png' -o -name '*.jpg' -o -name '*.webp' \) | head -50 | tr '\n' '\0' | xargs -0 cp --backup=numbered -t corpus/texture
   find "$SPLATPROBE_DATA/usd" -size -60k -name '*.usd*' -exec cp --backup=numbered -t corpus/usd {} +
 fi
 chmod -R u+w corpus

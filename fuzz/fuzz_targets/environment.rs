@@ -3,7 +3,8 @@
 
 use std::sync::atomic::AtomicBool;
 
-use splatprobe::job::{Background, Job, SplatInput};
+use splatprobe::Error;
+use splatprobe::job::{Background, Job, Placement, SplatInput};
 use splatprobe_fuzz::{file, folder};
 
 const SPLATS: &[u8] = include_bytes!("../../tests/fixtures/one_scene/scene-2.ksplat");
@@ -13,10 +14,12 @@ libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
     let job = Job {
         splats: vec![SplatInput::new(file("scene.ksplat", SPLATS))],
         background: Background::Map(file(name, bytes)),
+        placement: Placement { probes: vec![[0.0; 3]], ..Placement::default() },
         output: Some(folder().join("out")),
         face_size: 4,
         threads: 1,
         ..Job::default()
     };
-    let _ = splatprobe::pipeline::bake(&job, &splatprobe::bake::Silent, &AtomicBool::new(true));
+    let baked = splatprobe::pipeline::bake(&job, &splatprobe::bake::Silent, &AtomicBool::new(true));
+    assert!(!matches!(baked, Ok(_) | Err(Error::Request { .. })), "the job itself is sound: {baked:?}");
 });

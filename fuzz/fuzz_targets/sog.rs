@@ -35,11 +35,12 @@ libfuzzer_sys::fuzz_target!(init: { write(folder(), &SOUND); }, |bytes: &[u8]| {
     let mentions = |key: &[u8]| bytes.windows(key.len()).any(|window| window == key);
     match bytes {
         [b'R', b'I', b'F', b'F', ..] => {
-            for (name, sound) in SOUND.iter().filter(|(name, _)| name.ends_with(".webp")) {
-                file(name, bytes);
-                load_splats(&folder().join("meta.json"));
-                file(name, sound);
-            }
+            // In place of any one of the sound images.
+            let images: Vec<_> = SOUND.iter().filter(|(name, _)| name.ends_with(".webp")).collect();
+            let (name, sound) = images[bytes.len() % images.len()];
+            file(name, bytes);
+            load_splats(&folder().join("meta.json"));
+            file(name, sound);
         }
         [b'{', ..] if mentions(b"\"lodLevels\"") => load_splats(&file("lod-meta.json", bytes)),
         [b'{', ..] => {

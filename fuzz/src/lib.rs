@@ -13,7 +13,7 @@ use splatprobe::trace::{BeamTracer, Face, Radiance, Tile, TileTracer, TraceSetti
 use tempfile::TempDir;
 
 /// Gaussians and triangles of a scene that is still traced: more only take time.
-const MAX_TRACED: usize = 4096;
+const MAX_TRACED: usize = 256;
 
 /// One folder for each process; its files are written over and over.
 static FOLDER: LazyLock<TempDir> = LazyLock::new(|| tempfile::tempdir().expect("a temporary folder"));

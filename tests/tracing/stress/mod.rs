@@ -31,6 +31,11 @@ impl Row {
     }
 }
 
+/// The larger error; NaN, which is worse than any, if one is that.
+fn worse(a: f64, b: f64) -> f64 {
+    if a.is_nan() || b.is_nan() { f64::NAN } else { a.max(b) }
+}
+
 /// Cases that are measured alike.
 struct Section {
     title: &'static str,
