@@ -214,7 +214,7 @@ fn add_below(nodes: &mut Vec<WideNode>, (node, lane): (usize, usize), scene: &Sc
 fn eighths(clusters: &mut [Cluster]) -> Vec<&mut [Cluster]> {
     let mut parts = vec![clusters];
     while parts.len() < WIDTH {
-        parts = parts.into_iter().flat_map(|part| halves(part)).collect();
+        parts = parts.into_iter().flat_map(halves).collect();
     }
     parts
 }
