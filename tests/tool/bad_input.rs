@@ -48,7 +48,7 @@ fn what_memory_does_not_hold_is_refused() {
     let folder = baked();
     let bake = "bake --splats one.ply --probe 0,0,0 -o out";
     refused(folder.path(), &format!("{bake} --max-memory 100"), 2, &["--max-memory", "1 Gaussians", "100 B"]);
-    // 6 x 512 x 512 texels of 64 bytes are 96 MiB.
+    // 6 x 512 x 512 texels of 120 bytes are 180 MiB.
     let big = format!("{bake} --face-size 512 --max-memory 64MiB");
     refused(folder.path(), &big, 2, &["--max-memory", "512 texels", "64.0 MiB", "smaller faces"]);
 }
