@@ -537,6 +537,19 @@ fn faces_without_area_or_with_points_that_are_no_numbers_are_dropped_and_counted
 }
 
 #[test]
+fn tokens_that_cannot_name_an_attribute_name_none_and_end_the_search() {
+    // Found by fuzzing: the openusd crate looks for the parent of a path with a stray brace without end.
+    let moved = load(&square("Q", "uniform token[] xformOpOrder = [\"}\", \"xformOp:translate:}{\"]"));
+    assert_eq!(moved.1.meshes[0].bounds.unwrap().max.x, 1.0);
+    let shader = texture("").replace("\"st\"", "\"}\"");
+    let body = material("M", "color3f inputs:diffuseColor.connect = </M/T.outputs:rgb>", &shader) + &square("Q", BOUND);
+    let image = std::fs::read(fixture("colours.png")).unwrap();
+    let error =
+        load_files(&[("colours.png", &image), ("scene.usda", stage(&body).as_bytes())]).expect_err("no primvar");
+    assert!(error.to_string().contains("primvars:}"), "{error}");
+}
+
+#[test]
 fn faults_are_errors_that_name_prim_and_attribute() {
     let subset = |more: &str| {
         format!(

@@ -123,6 +123,11 @@ impl<'a> OpenedStage<'a> {
 
     /// The value of an attribute: its default, else its first time sample. A blocked value is none.
     fn value(&self, prim: &Prim, name: &str) -> Result<Option<Value>> {
+        // Tokens of the file name attributes, too. What no attribute can be called is not looked for: over a stray brace
+        // the reader loops without end.
+        if !name.chars().all(|c| c.is_alphanumeric() || matches!(c, '_' | ':')) {
+            return Ok(None);
+        }
         self.attribute_value(prim, &prim.attribute(name))
     }
 
