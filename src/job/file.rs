@@ -103,7 +103,8 @@ mod tests {
         let path = folder.path().join("job.json");
         std::fs::write(&path, r#"{"preset": "draft", "faceSize": 99, "placement": {"grid": [1, 2, 3]}}"#).unwrap();
         let draft = Job::from_file(&path, None).unwrap();
-        let expected = Job { face_size: 99, placement: draft.placement.clone(), ..Preset::Draft.job() };
+        let expected =
+            Job { face_size: 99, placement: draft.placement.clone(), file: Some(path.clone()), ..Preset::Draft.job() };
         assert_eq!(draft, expected);
         assert_eq!(draft.placement.grid, Some([1, 2, 3]));
         let reference = Job::from_file(&path, Some(Preset::Reference)).unwrap();
