@@ -9,18 +9,25 @@
 //! RMS over all texels and channels, in display space; in brackets the mean signed error, which a filter that adds light
 //! shows. The truth is the mean of linear light, as a bake with `--samples 16` forms it.
 
+#[path = "common/arguments.rs"]
+mod arguments;
+#[path = "common/scene.rs"]
+mod scene;
+
 use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
 
+use self::arguments::Arguments;
+use self::scene::scene;
 use glam::DVec3;
 use splatprobe::bake::{self, BakeSettings, Silent};
 use splatprobe::bvh::Bvh;
-use splatprobe::generate::{InteriorSettings, ROOM, interior};
-use splatprobe::job::{self, SplatInput};
+use splatprobe::generate::InteriorSettings;
+use splatprobe::job;
+use splatprobe::place;
 use splatprobe::scene::{Scene, colour};
 use splatprobe::shade::UnlitSurfaces;
 use splatprobe::trace::{BeamTracer, Footprint, TraceSettings};
-use splatprobe::{ingest, place};
 
 /// Widths of `pixel` to try, in texels.
 const SIGMAS: [f64; 7] = [0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6];
@@ -31,16 +38,10 @@ const FOCALS: [f64; 2] = [1200.0, 300.0];
 /// Rays per axis of a texel of the truth.
 const SAMPLES: u32 = 16;
 
-struct Arguments {
-    gaussians: usize,
-    splats: Option<String>,
-    probe: DVec3,
-    sizes: Vec<u32>,
-}
-
 fn main() {
-    let arguments = parse();
-    let mut scene = load(&arguments);
+    let arguments = Arguments::parse(1_500_000, &[32, 64, 128, 256]);
+    let settings = InteriorSettings { gaussians: arguments.gaussians, sh_degree: 0, ..InteriorSettings::default() };
+    let mut scene = scene(arguments.splats.as_deref(), settings);
     let bvh = Bvh::build(&mut scene);
     println!("{} Gaussians, probe {}, {SAMPLES} x {SAMPLES} rays per texel", scene.splats.len(), arguments.probe);
     let pixels = SIGMAS.map(|sigma| format!("pixel {sigma}"));
@@ -82,35 +83,4 @@ fn cube(scene: &Scene, bvh: &Bvh, probe: DVec3, footprint: Footprint, face_size:
     })
     .expect("nothing can fail without output");
     values.into_inner().unwrap()
-}
-
-fn load(arguments: &Arguments) -> Scene {
-    match &arguments.splats {
-        Some(path) => ingest::load_scene(&[SplatInput::new(path)], &[]).unwrap_or_else(|error| panic!("{error}")).0,
-        None => {
-            let settings =
-                InteriorSettings { gaussians: arguments.gaussians, sh_degree: 0, ..InteriorSettings::default() };
-            Scene { splats: interior(&settings), ..Scene::default() }
-        }
-    }
-}
-
-fn parse() -> Arguments {
-    let probe = DVec3::new(1.5 * ROOM.x, 1.6, 1.5 * ROOM.z);
-    let mut arguments = Arguments { gaussians: 1_500_000, splats: None, probe, sizes: vec![32, 64, 128, 256] };
-    let mut words = std::env::args().skip(1).filter(|word| word != "--bench");
-    while let Some(word) = words.next() {
-        let value = words.next().unwrap_or_else(|| panic!("{word} needs a value"));
-        match word.as_str() {
-            "--gaussians" => arguments.gaussians = value.parse().expect("a number of Gaussians"),
-            "--splats" => arguments.splats = Some(value),
-            "--probe" => {
-                let metres: Vec<f64> = value.split(',').filter_map(|x| x.parse().ok()).collect();
-                arguments.probe = DVec3::from_slice(&metres);
-            }
-            "--sizes" => arguments.sizes = value.split(',').filter_map(|size| size.parse().ok()).collect(),
-            _ => panic!("{word} is not an argument of this bench"),
-        }
-    }
-    arguments
 }

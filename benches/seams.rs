@@ -11,12 +11,17 @@
 //! the order of the means' depths. All three change with the face. It is computed here in f64 at the edge itself, so that
 //! nothing but the approximation is measured. Differences are of display values, the largest of the three channels.
 
+#[path = "common/arguments.rs"]
+mod arguments;
+#[path = "common/scene.rs"]
+mod scene;
+
+use self::arguments::Arguments;
+use self::scene::scene;
 use glam::{DMat2, DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 use splatprobe::bvh::Bvh;
-use splatprobe::generate::{InteriorSettings, ROOM, interior};
-use splatprobe::ingest;
-use splatprobe::job::SplatInput;
+use splatprobe::generate::InteriorSettings;
 use splatprobe::scene::splats::ALPHA_MIN;
 use splatprobe::scene::{Scene, colour, sh};
 use splatprobe::shade::UnlitSurfaces;
@@ -37,22 +42,10 @@ const CUTOFF: f64 = 1e-4;
 /// Directions per edge of the cube.
 const PER_EDGE: usize = 100;
 
-struct Arguments {
-    gaussians: usize,
-    splats: Option<String>,
-    probe: DVec3,
-    sizes: Vec<u32>,
-}
-
 fn main() {
-    let arguments = parse();
-    let mut scene = match &arguments.splats {
-        Some(path) => ingest::load_scene(&[SplatInput::new(path)], &[]).unwrap_or_else(|error| panic!("{error}")).0,
-        None => {
-            let settings = InteriorSettings { gaussians: arguments.gaussians, ..InteriorSettings::default() };
-            Scene { splats: interior(&settings), ..Scene::default() }
-        }
-    };
+    let arguments = Arguments::parse(150_000, &[64, 256]);
+    let settings = InteriorSettings { gaussians: arguments.gaussians, ..InteriorSettings::default() };
+    let mut scene = scene(arguments.splats.as_deref(), settings);
     let bvh = Bvh::build(&mut scene);
     let origin = arguments.probe - scene.origin;
     println!("{} Gaussians, probe {}, {PER_EDGE} directions on each of 12 edges", scene.splats.len(), arguments.probe);
@@ -198,24 +191,4 @@ impl View {
         }
         colour
     }
-}
-
-fn parse() -> Arguments {
-    let middle = DVec3::new(1.5 * ROOM.x, 1.6, 1.5 * ROOM.z);
-    let mut arguments = Arguments { gaussians: 150_000, splats: None, probe: middle, sizes: vec![64, 256] };
-    let mut words = std::env::args().skip(1).filter(|word| word != "--bench");
-    while let Some(word) = words.next() {
-        let value = words.next().unwrap_or_else(|| panic!("{word} needs a value"));
-        match word.as_str() {
-            "--gaussians" => arguments.gaussians = value.parse().expect("a number"),
-            "--splats" => arguments.splats = Some(value),
-            "--probe" => {
-                let numbers: Vec<f64> = value.split(',').map(|x| x.parse().expect("a number")).collect();
-                arguments.probe = DVec3::from_slice(&numbers);
-            }
-            "--sizes" => arguments.sizes = value.split(',').map(|x| x.parse().expect("a number")).collect(),
-            _ => panic!("unknown argument {word}"),
-        }
-    }
-    arguments
 }

@@ -12,14 +12,17 @@
 //! Times are medians over `--runs`: wall time at all cores, processor time at one. Errors are against `reference` in display space at
 //! `--pixels` random texels of the case's cube.
 
+#[path = "common/scene.rs"]
+mod scene;
+
 use std::time::Instant;
 
+use self::scene::{eye, scene};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use splatprobe::bvh::Bvh;
-use splatprobe::generate::{InteriorSettings, ROOM, interior};
-use splatprobe::ingest;
-use splatprobe::job::{self, Order, SplatInput};
+use splatprobe::generate::InteriorSettings;
+use splatprobe::job::{self, Order};
 use splatprobe::scene::{Scene, colour};
 use splatprobe::shade::UnlitSurfaces;
 use splatprobe::trace::{
@@ -41,7 +44,12 @@ struct Arguments {
 fn main() {
     let arguments = parse();
     let start = Instant::now();
-    let mut scene = load(&arguments);
+    let settings = InteriorSettings {
+        gaussians: arguments.gaussians,
+        sh_degree: arguments.sh_degree,
+        ..InteriorSettings::default()
+    };
+    let mut scene = scene(arguments.splats.as_deref(), settings);
     println!("scene: {} Gaussians, SH {}, {:.2} s to load", scene.splats.len(), scene.splats.sh_degree, seconds(start));
     reset_peak_memory();
     let before = peak_memory();
@@ -54,7 +62,7 @@ fn main() {
         per_gaussian(before),
         per_gaussian(peak_memory())
     );
-    let probe = arguments.probe.unwrap_or(DVec3::new(1.5 * ROOM.x, 1.6, 1.5 * ROOM.z)) - scene.origin;
+    let probe = arguments.probe.unwrap_or_else(eye) - scene.origin;
     println!("level {}, {} cores, probe {probe}", Level::best().name(), arguments.threads);
     println!("| case | seconds | Mrays/s | on one core | RMS | max | over 1e-3 |");
     println!("|---|---|---|---|---|---|---|");
@@ -201,20 +209,6 @@ fn error(
 fn display(radiance: &Radiance) -> Vec3 {
     let linear = radiance.to_linear(Default::default(), Default::default()).0;
     Vec3::from_array(linear.to_array().map(colour::linear_to_srgb))
-}
-
-fn load(arguments: &Arguments) -> Scene {
-    match &arguments.splats {
-        Some(path) => {
-            let input = SplatInput::new(path);
-            ingest::load_scene(&[input], &[]).unwrap_or_else(|error| panic!("{error}")).0
-        }
-        None => {
-            let (gaussians, sh_degree) = (arguments.gaussians, arguments.sh_degree);
-            let splats = interior(&InteriorSettings { gaussians, sh_degree, ..InteriorSettings::default() });
-            Scene { splats, ..Scene::default() }
-        }
-    }
 }
 
 fn parse() -> Arguments {

@@ -3,7 +3,7 @@
 Mitsuba blends in the order in which rays enter the ellipsoids and evaluates colours along the ray, in f32; splatprobe in the
 order of the strongest responses. Thin ellipsoids are missed by Mitsuba's intersection, so that the scene's aspect ratios are
 clamped to 10 first, for both. The truth is splatprobe's `ray` tracer in f64 without a cut-off, with colours along the ray (the
-direction that Mitsuba takes); a second error of Mitsuba's is to its own order, without the cut-off at a hundredth.
+direction that Mitsuba takes): Mitsuba's error holds its other order and its cut-off at a hundredth, too.
 """
 
 import argparse

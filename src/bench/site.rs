@@ -8,7 +8,7 @@ use std::time::Instant;
 use glam::{DVec3, Vec4, Vec4Swizzles};
 
 use super::{BenchSettings, SceneBench};
-use crate::bake::{self, BakeSettings, Silent};
+use crate::bake::{self, BakeSettings, Cubemap, Silent};
 use crate::bvh::Bvh;
 use crate::error::{Error, Result};
 use crate::filter::RgbCubemap;
@@ -21,7 +21,7 @@ use crate::place::{self, Probe};
 use crate::scene::bounds::robust_bounds;
 use crate::scene::{Scene, sh};
 use crate::shade::UnlitSurfaces;
-use crate::trace::{RayTracer, TraceSettings};
+use crate::trace::{RayTracer, TileTracer, TraceSettings};
 
 /// What stands before the number of Gaussians of a scene made by rule.
 const INTERIOR: &str = "interior:";
@@ -30,10 +30,7 @@ const INTERIOR: &str = "interior:";
 const MAX_GAUSSIANS: usize = 50_000_000;
 
 /// A bench is not cancelled from within.
-pub(super) static NEVER: AtomicBool = AtomicBool::new(false);
-
-/// Names of the files that describe a SOG; every other .json is a job.
-const SOG_INDICES: [&str; 2] = ["meta.json", "lod-meta.json"];
+static NEVER: AtomicBool = AtomicBool::new(false);
 
 /// A scene to be measured.
 #[derive(Debug, Clone)]
@@ -78,7 +75,7 @@ impl Source {
 
 fn job_of(path: &Path) -> Result<Job> {
     let is_job = path.extension().is_some_and(|extension| extension == "json")
-        && !SOG_INDICES.iter().any(|index| path.file_name().is_some_and(|name| name == *index));
+        && !ingest::SOG_INDEX_NAMES.iter().any(|index| path.file_name().is_some_and(|name| name == *index));
     if is_job {
         return Job::from_file(path, None);
     }
@@ -124,24 +121,32 @@ impl Site {
         Ok(Self { name: source.name.clone(), loaded, job, order, probes })
     }
 
-    /// Cubemaps of all probes as `job` says.
-    pub fn trace(&self, job: &Job) -> Result<Vec<RgbCubemap>> {
-        let scene = &self.loaded.scene;
+    /// What `work` makes with the tracer that `job` asks for.
+    pub fn with_tracer<T>(&self, job: &Job, work: impl FnOnce(&dyn TileTracer) -> Result<T>) -> Result<T> {
         let surfaces = JobSurfaces::new(job, self.order, &self.loaded, &self.origins(), &Silent, &NEVER)?;
         let rules = trace_settings(job, self.order, job.face_size * job.samples);
-        let tracer = tracer(job, rules, &self.loaded, surfaces.as_dyn(), None);
+        let made = work(&*tracer(job, rules, &self.loaded, surfaces.as_dyn(), None))?;
+        self.loaded.scene.meshes.check_textures()?;
+        Ok(made)
+    }
+
+    /// Cubemaps of all probes as `job` says.
+    pub fn trace(&self, job: &Job) -> Result<Vec<RgbCubemap>> {
         let settings =
             BakeSettings { face_size: job.face_size, samples: job.samples, distance: false, edge_texels: false };
         let delivered = Mutex::new(Vec::new());
-        bake::bake_probes(&*tracer, scene, &self.probes, &settings, &Silent, &NEVER, |index, cubemap, _| {
+        let deliver = |index, cubemap: Cubemap, _| {
             let texels = cubemap.texels.into_iter().map(|texel| Vec4::from(texel).xyz()).collect();
             let cubemap = RgbCubemap::new(settings.face_size, texels)?;
             if let Ok(mut delivered) = delivered.lock() {
                 delivered.push((index, cubemap));
             }
             Ok(())
+        };
+        let scene = &self.loaded.scene;
+        self.with_tracer(job, |tracer| {
+            bake::bake_probes(tracer, scene, &self.probes, &settings, &Silent, &NEVER, deliver)
         })?;
-        scene.meshes.check_textures()?;
         let mut cubemaps = delivered.into_inner().unwrap_or_default();
         cubemaps.sort_by_key(|(index, _)| *index);
         Ok(cubemaps.into_iter().map(|(_, cubemap)| cubemap).collect())

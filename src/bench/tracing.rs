@@ -10,17 +10,15 @@ use rayon::prelude::*;
 
 use super::Bench;
 use super::report::{Row, RowError, RowSettings, Truth, TruthRecord};
-use super::site::{NEVER, Site};
+use super::site::Site;
 use super::sweep::Variant;
-use crate::bake::Silent;
 use crate::compare::{ErrorNorms, ImageError, compare_colours, compare_cubemaps};
 use crate::error::Result;
 use crate::filter::{RgbCubemap, Sampler, prefilter};
 use crate::job::{Footprint, Job, Tracer};
-use crate::pipeline::{JobSurfaces, trace_settings, tracer};
 use crate::scene::LinearRgb;
 use crate::shade::sampling::hash_all;
-use crate::trace::{Face, Radiance, Tile};
+use crate::trace::{Face, Radiance, Tile, TileTracer};
 
 /// Rays along an edge of a texel of the finest faces of the area truth: twice as many of a texel of the base's.
 const SAMPLES: u32 = 8;
@@ -108,21 +106,18 @@ impl Rays {
     fn trace(&self, site: &Site, job: &Job) -> Result<Vec<LinearRgb>> {
         let job = Job { tracer: Tracer::Reference, ..job.clone() };
         let (scene, origins) = (&site.loaded.scene, site.origins());
-        let surfaces = JobSurfaces::new(&job, site.order, &site.loaded, &origins, &Silent, &NEVER)?;
-        let rules = trace_settings(&job, site.order, job.face_size);
-        let tracer = tracer(&job, rules, &site.loaded, surfaces.as_dyn(), None);
         let size = job.face_size as usize;
-        let seen = self.texels.par_iter().with_max_len(1).map(|&(probe, texel)| {
+        let seen = |tracer: &dyn TileTracer, (probe, texel): (usize, usize)| {
             let (x, y) = ((texel % size) as i32, (texel / size % size) as i32);
             let face = Face::ALL[texel / (size * size)];
             let tile = Tile { face, face_size: job.face_size, x, y, width: 1, height: 1 };
             let mut radiance = [Radiance::default()];
             tracer.trace_tile(origins[probe], &tile, &mut radiance);
             radiance[0].to_linear(scene.encoding, scene.background_along(tile.direction(0, 0)))
-        });
-        let seen = seen.collect();
-        scene.meshes.check_textures()?;
-        Ok(seen)
+        };
+        site.with_tracer(&job, |tracer| {
+            Ok(self.texels.par_iter().with_max_len(1).map(|&place| seen(tracer, place)).collect())
+        })
     }
 
     fn describe(&self, bench: &mut Bench) {

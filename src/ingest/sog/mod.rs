@@ -55,9 +55,12 @@ fn is_json_with(bytes: &[u8], keys: [&str; 2]) -> bool {
     head.starts_with(b"{") && keys.into_iter().all(mentions)
 }
 
+/// Names of the files that describe a SOG, that of a streamed one first.
+pub const INDEX_NAMES: [&str; 2] = ["lod-meta.json", "meta.json"];
+
 /// The file that a splat input's `path` stands for: the index of a SOG's folder, or else `path` itself.
 pub fn index_file(path: &Path) -> PathBuf {
-    let indices = ["lod-meta.json", "meta.json"].map(|name| path.join(name));
+    let indices = INDEX_NAMES.map(|name| path.join(name));
     indices.into_iter().find(|index| index.is_file()).unwrap_or_else(|| path.into())
 }
 
