@@ -220,13 +220,12 @@ fn counters_count_every_response_and_every_gaussian_that_responds() {
     counting.trace_tile(origin, &tile, &mut counted);
     assert_eq!(texels, counted);
     let report = counters.report();
-    // 40 texels are 10 narrow blocks a side: four tiles of at most 8.
-    assert_eq!((report.rays, report.tiles, report.fallback_rays, report.gaussians), (1600, 4, 0, 500));
+    assert_eq!((report.rays, report.tiles, report.fallback_rays, report.gaussians), (1600, 1, 0, 500));
     // Responses at the threshold may fall on either side of it in f32.
     let counted = report.contributions_per_ray * 1600.0;
     assert!((counted - responses as f64).abs() <= 2e-4 * responses as f64, "{counted} of {responses}");
     assert!(report.evaluations_per_ray >= report.contributions_per_ray && report.lanes_used > 0.05);
     let responding = seen.iter().filter(|&&seen| seen).count();
     assert!(report.gaussians_touched >= responding && responding > 50, "{report:?}, {responding}");
-    assert!(report.candidates_per_tile * 4.0 >= report.gaussians_touched as f64);
+    assert!(report.candidates_per_tile >= report.gaussians_touched as f64);
 }

@@ -1,4 +1,4 @@
-//! A Gaussian or triangle as one tile sees it. Formed in f64, stored in f32 relative to the tile.
+//! From Gaussians and triangles to candidates of a tile: formed in f64, stored in f32 relative to the tile.
 //!
 //! All rays of a probe share their origin x, so with `p = M (mu - x)` and a ray `v = M d(px, py)`, d affine in the texel
 //! position, everything the response needs is affine too. Split v along p: `h = p^.v`, and two components (u, s) across
@@ -14,10 +14,13 @@
 use glam::DVec3;
 use pulp::Simd;
 
+use super::candidate::Candidate;
 use super::frustum::{FaceAxes, block_mask};
+use super::image::{image_bounds, set_forms, through, unit_across};
+use super::lanes::QUAD;
 use crate::job::Order;
 use crate::scene::{Meshes, Splats};
-use crate::trace::batch::{BATCH, Batch, Lanes, Vector3, cross, difference_of_products, dot, plus_scaled, scaled};
+use crate::trace::batch::{BATCH, Batch, Lanes, cross, dot, plus_scaled, scaled};
 use crate::trace::{Footprint, Tile};
 
 /// Image positions are formed in f64; a texel's centre this close to an ellipse's edge counts as inside.
@@ -26,57 +29,9 @@ const TEXEL_SLACK: f64 = 1e-3;
 /// Lower bounds round down by this much when they become f32: the forms they are made from carry a few roundings.
 const KEY_SLACK: f64 = 2e-6;
 
-/// What a block needs to evaluate a Gaussian or a triangle at its texels. (x, y) are texels from the tile's corner.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Candidate {
-    /// `u = u[0] + u[1] x + u[2] y`, likewise the others; all three share one scale, which cancels.
-    pub u: [f32; 3],
-    pub s: [f32; 2],
-    pub h: [f32; 3],
-    /// `|p|^2 log2(e) / 2`: the response is `2^(log2_opacity - falloff (u^2 + s^2) / (v.v))`.
-    pub falloff: f32,
-    pub log2_opacity: f32,
-    /// `|p|` in the scale of h: the depth of the strongest response is `depth h / (v.v)`.
-    pub depth: f32,
-    /// `depth (1 - r^2 / |p|^2)`, or 0: the least depth of a response is at least this over the largest h, and at least
-    /// `nearest`. For a thin disc that is its plane, however oblique.
-    depth_low: f32,
-    nearest: f32,
-    /// A lower bound on the sort keys of its contributions, and for `cameraDistance` the key itself.
-    pub key_low: f32,
-    pub colour: [f32; 3],
-    /// Into the scene's Gaussians, or its triangles when [`Candidate::TRIANGLE`] is set.
-    pub index: u32,
-    /// First and last column and row of texels that it may touch.
-    pub columns: [i16; 2],
-    pub rows: [i16; 2],
-    /// Blocks it may touch.
-    pub blocks: u64,
-}
-
-impl Candidate {
-    /// Marks `index` as a triangle's; scenes of 2^31 primitives do not fit in memory.
-    const TRIANGLE: u32 = 1 << 31;
-
-    pub fn is_gaussian(&self) -> bool {
-        self.index & Self::TRIANGLE == 0
-    }
-
-    pub fn triangle(&self) -> u32 {
-        self.index & !Self::TRIANGLE
-    }
-
-    /// A lower bound on the depths of its contributions in a square of texels, given by its first texel and its edge.
-    #[inline(always)]
-    pub fn depth_low_in(&self, x: f32, y: f32, edge: f32) -> f32 {
-        // Where it responds, u^2 + s^2 <= r^2 v.v / |p|^2, so v.v <= h^2 / (1 - r^2 / |p|^2), and the depth
-        // |p| h / v.v is at least |p| (1 - r^2 / |p|^2) / h.
-        let [h0, hx, hy] = self.h;
-        let steepest = h0 + hx * x + hy * y + edge * (hx.max(0.0) + hy.max(0.0));
-        let plane = if steepest > 0.0 { self.depth_low / steepest } else { 0.0 };
-        if plane > self.nearest { plane } else { self.nearest }
-    }
-}
+/// Of a cone's width: its slopes are multiplied by up to 64 texels, its constants not at all, and either carries a few
+/// roundings of 6e-8 in f32.
+const CONE_SLACK: f64 = 1e-3;
 
 /// A probe's view through one tile; Gaussians pass through it in batches.
 pub(super) struct Projection {
@@ -103,6 +58,7 @@ struct ProjectedLanes {
     falloff: Lanes,
     log2_opacity: Lanes,
     depth: Lanes,
+    cone: [Lanes; 3],
     depth_low: Lanes,
     nearest: Lanes,
     mean_distance: Lanes,
@@ -124,6 +80,7 @@ impl Projection {
             falloff: Lanes::ZERO,
             log2_opacity: Lanes::ZERO,
             depth: Lanes::ZERO,
+            cone: [Lanes::ZERO; 3],
             depth_low: Lanes::ZERO,
             nearest: Lanes::ZERO,
             mean_distance: Lanes::ZERO,
@@ -195,7 +152,9 @@ impl Projection {
 
             let depth = simd.mul_f64s(p_length, scale);
             let slack = simd.splat_f64s(1.0 - KEY_SLACK);
-            let in_front = simd.max_f64s(simd.sub_f64s(one, simd.div_f64s(radius_squared, p_squared)), zero);
+            let reach = simd.div_f64s(radius_squared, p_squared);
+            let in_front = simd.max_f64s(simd.sub_f64s(one, reach), zero);
+            set_cone(simd, v, lanes, reach, in_front);
             lanes.falloff.set::<S>(v, simd.mul_f64s(p_squared, simd.splat_f64s(std::f64::consts::LOG2_E / 2.0)));
             lanes.depth.set::<S>(v, depth);
             lanes.depth_low.set::<S>(v, simd.mul_f64s(simd.mul_f64s(depth, in_front), slack));
@@ -225,7 +184,8 @@ impl Projection {
         let at = |value: &Lanes| value.0[lane];
         let view =
             self.view([at(&lanes.columns[0]), at(&lanes.columns[1])], [at(&lanes.rows[0]), at(&lanes.rows[1])])?;
-        let [u, h] = [&lanes.u, &lanes.h].map(|[a, b, c]| [at(a) as f32, at(b) as f32, at(c) as f32]);
+        let [u, h, cone] =
+            [&lanes.u, &lanes.h, &lanes.cone].map(|[a, b, c]| [at(a) as f32, at(b) as f32, at(c) as f32]);
         let mut candidate = Candidate {
             u,
             s: [at(&lanes.s[0]) as f32, at(&lanes.s[1]) as f32],
@@ -233,10 +193,12 @@ impl Projection {
             falloff: at(&lanes.falloff) as f32,
             log2_opacity: at(&lanes.log2_opacity) as f32,
             depth: at(&lanes.depth) as f32,
+            cone,
             depth_low: at(&lanes.depth_low) as f32,
             nearest: at(&lanes.nearest) as f32,
             key_low: at(&lanes.mean_distance) as f32,
             colour: [0.0; 3],
+            linear: false,
             index: self.batch.index[lane],
             columns: view.columns,
             rows: view.rows,
@@ -282,10 +244,12 @@ impl Projection {
             falloff: 0.0,
             log2_opacity: 0.0,
             depth: 0.0,
+            cone: [1.0, 0.0, 0.0],
             depth_low: 0.0,
             nearest: (nearest.max(0.0) * (1.0 - KEY_SLACK)) as f32,
             key_low: key_low as f32,
             colour: [0.0; 3],
+            linear: false,
             index: index | Candidate::TRIANGLE,
             columns: view.columns,
             rows: view.rows,
@@ -310,18 +274,35 @@ impl Projection {
     }
 }
 
-/// `M d` for the direction that is `at` right and down where its look component is 1.
+/// The form [`Candidate::cone`], for `reach = r^2 / |p|^2` and `in_front = 1 - reach`, from the forms u, s and h.
+///
+/// A texel responds where `(u^2 + s^2) / (v.v) <= reach`, that is, where `sqrt(u^2 + s^2) <= h sqrt(reach / in_front)`.
+/// From a quad's middle to its texels, both sides change by no more than their slopes allow.
 #[inline(always)]
-fn through<S: Simd>(simd: S, [right, down, look]: [Vector3<S>; 3], at: [f64; 2]) -> Vector3<S> {
-    plus_scaled(simd, plus_scaled(simd, look, right, simd.splat_f64s(at[0])), down, simd.splat_f64s(at[1]))
-}
-
-/// The affine form of a component of v.
-#[inline(always)]
-fn set_forms<S: Simd>(simd: S, v: usize, forms: &mut [Lanes; 3], axis: Vector3<S>, v_parts: [Vector3<S>; 3]) {
-    forms[0].set::<S>(v, dot(simd, axis, v_parts[0]));
-    forms[1].set::<S>(v, dot(simd, axis, v_parts[1]));
-    forms[2].set::<S>(v, dot(simd, axis, v_parts[2]));
+fn set_cone<S: Simd>(simd: S, v: usize, lanes: &mut ProjectedLanes, reach: S::f64s, in_front: S::f64s) {
+    // What is around the probe, or nearly, responds everywhere.
+    let least = simd.splat_f64s(1e-6);
+    let everywhere = simd.less_than_f64s(in_front, least);
+    let factor = simd.sqrt_f64s(simd.div_f64s(reach, simd.max_f64s(in_front, least)));
+    let mut h = [factor; 3];
+    for (scaled, form) in h.iter_mut().zip(&lanes.h) {
+        *scaled = simd.mul_f64s(factor, form.get::<S>(v));
+    }
+    let (ux, uy, sy) = (lanes.u[1].get::<S>(v), lanes.u[2].get::<S>(v), lanes.s[1].get::<S>(v));
+    let down = simd.sqrt_f64s(simd.mul_add_e_f64s(uy, uy, simd.mul_f64s(sy, sy)));
+    let slopes =
+        simd.add_f64s(simd.add_f64s(simd.abs_f64s(ux), down), simd.add_f64s(simd.abs_f64s(h[1]), simd.abs_f64s(h[2])));
+    let constants = simd.add_f64s(
+        simd.add_f64s(simd.abs_f64s(lanes.u[0].get::<S>(v)), simd.abs_f64s(lanes.s[0].get::<S>(v))),
+        simd.abs_f64s(h[0]),
+    );
+    let half_quad = simd.splat_f64s(0.5 * f64::from(QUAD - 1) * (1.0 + CONE_SLACK));
+    let slack = simd.mul_add_e_f64s(slopes, half_quad, simd.mul_f64s(constants, simd.splat_f64s(1e-3 * CONE_SLACK)));
+    let widest = [simd.splat_f64s(1e15), simd.splat_f64s(0.0), simd.splat_f64s(0.0)];
+    h[0] = simd.add_f64s(h[0], slack);
+    for ((form, cone), wide) in lanes.cone.iter_mut().zip(h).zip(widest) {
+        form.set::<S>(v, simd.select_f64s(everywhere, wide, cone));
+    }
 }
 
 /// Where in a tile something may be seen.
@@ -329,98 +310,6 @@ struct View {
     columns: [i16; 2],
     rows: [i16; 2],
     blocks: u64,
-}
-
-/// Ends of an ellipsoid's image, as ratios of right and down to look.
-struct ImageBounds<S: Simd> {
-    x: [S::f64s; 2],
-    y: [S::f64s; 2],
-    /// Depth of its nearest point.
-    nearest: S::f64s,
-    /// Whether any of it lies in front of the plane through the probe.
-    in_front: S::m64s,
-}
-
-/// The rectangle around the image of the ellipsoid `|M (p - mu)| <= r`, by its tangent planes through the probe; all of
-/// the plane when it crosses the plane through the probe, where its image has no bounds that are worth having.
-///
-/// A plane with normal `N = e_x - k e_z` touches it where `(N.m)^2 = r^2 N^T Sigma N`, a quadratic in k. Rows of M are
-/// `r_k / s_k` with unit r_k, so that Sigma is the sum of `row_k row_k^T / |row_k|^4`.
-#[inline(always)]
-fn image_bounds<S: Simd>(
-    simd: S,
-    mean: Vector3<S>,
-    columns: [Vector3<S>; 3],
-    radius_squared: S::f64s,
-) -> ImageBounds<S> {
-    let zero = simd.splat_f64s(0.0);
-    let [mut xx, mut xz, mut yy, mut yz, mut zz] = [zero; 5];
-    let [right, down, look] = columns;
-    for ((x, y), z) in right.into_iter().zip(down).zip(look) {
-        let axis = scaled(simd, [x, y, z], simd.div_f64s(simd.splat_f64s(1.0), dot(simd, [x, y, z], [x, y, z])));
-        xx = simd.mul_add_e_f64s(axis[0], axis[0], xx);
-        xz = simd.mul_add_e_f64s(axis[0], axis[2], xz);
-        yy = simd.mul_add_e_f64s(axis[1], axis[1], yy);
-        yz = simd.mul_add_e_f64s(axis[1], axis[2], yz);
-        zz = simd.mul_add_e_f64s(axis[2], axis[2], zz);
-    }
-    let zz = simd.mul_f64s(zz, radius_squared);
-    let reach = simd.sqrt_f64s(simd.max_f64s(zz, zero));
-    let z = mean[2];
-    let leading = difference_of_products(simd, z, z, zz, simd.splat_f64s(1.0));
-    let bounded = simd.and_m64s(simd.greater_than_f64s(leading, zero), simd.greater_than_f64s(z, zero));
-    let inverse = simd.div_f64s(simd.splat_f64s(1.0), leading);
-    let mut ends = [[zero; 2]; 2];
-    let (squares, mixed) = ([xx, yy], [xz, yz]);
-    for axis in 0..2 {
-        let (x, square, mixed) = (mean[axis], squares[axis], mixed[axis]);
-        let middle = difference_of_products(simd, x, z, mixed, radius_squared);
-        let remainder = difference_of_products(simd, x, x, square, radius_squared);
-        let discriminant = difference_of_products(simd, middle, middle, leading, remainder);
-        let spread = simd.sqrt_f64s(simd.max_f64s(discriminant, zero));
-        let low = simd.mul_f64s(simd.sub_f64s(middle, spread), inverse);
-        let high = simd.mul_f64s(simd.add_f64s(middle, spread), inverse);
-        ends[axis] = [
-            simd.select_f64s(bounded, low, simd.splat_f64s(f64::NEG_INFINITY)),
-            simd.select_f64s(bounded, high, simd.splat_f64s(f64::INFINITY)),
-        ];
-    }
-    let in_front = simd
-        .and_m64s(simd.greater_than_f64s(simd.add_f64s(z, reach), zero), simd.greater_than_f64s(radius_squared, zero));
-    ImageBounds { x: ends[0], y: ends[1], nearest: simd.sub_f64s(z, reach), in_front }
-}
-
-/// What of `vector` is not along the unit vector `ahead`.
-#[inline(always)]
-fn without<S: Simd>(simd: S, vector: Vector3<S>, ahead: Vector3<S>) -> Vector3<S> {
-    plus_scaled(simd, vector, ahead, simd.sub_f64s(simd.splat_f64s(0.0), dot(simd, ahead, vector)))
-}
-
-/// The unit vector across `ahead` in the plane that it spans with `toward`; any across `ahead` when the two are parallel
-/// to a rounding.
-#[inline(always)]
-fn unit_across<S: Simd>(simd: S, ahead: Vector3<S>, toward: Vector3<S>) -> Vector3<S> {
-    let (zero, one) = (simd.splat_f64s(0.0), simd.splat_f64s(1.0));
-    // Twice: of a thin disc `toward` is all but parallel to `ahead`, and what one pass leaves of that, a rounding of
-    // `toward`, would be as large as what lies across.
-    let across = without(simd, without(simd, toward, ahead), ahead);
-    let across_squared = dot(simd, across, across);
-    // What is left of a vector parallel to `ahead` is roundings, 1e-32 of its square.
-    let least = simd.mul_f64s(dot(simd, toward, toward), simd.splat_f64s(1e-28));
-    let usable = simd.greater_than_f64s(across_squared, least);
-    // Across `ahead` without cancellation: (-y, x, 0), or (0, -z, y) where that is short.
-    let along_z = simd.greater_than_f64s(simd.mul_f64s(ahead[2], ahead[2]), simd.splat_f64s(0.5));
-    let other = [
-        simd.select_f64s(along_z, zero, simd.sub_f64s(zero, ahead[1])),
-        simd.select_f64s(along_z, simd.sub_f64s(zero, ahead[2]), ahead[0]),
-        simd.select_f64s(along_z, ahead[1], zero),
-    ];
-    let chosen = [
-        simd.select_f64s(usable, across[0], other[0]),
-        simd.select_f64s(usable, across[1], other[1]),
-        simd.select_f64s(usable, across[2], other[2]),
-    ];
-    scaled(simd, chosen, simd.div_f64s(one, simd.sqrt_f64s(dot(simd, chosen, chosen))))
 }
 
 /// log2(1/255).

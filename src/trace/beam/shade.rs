@@ -1,231 +1,253 @@
-//! A chunk of candidates into the blocks of a tile: dealt to them, sorted there, evaluated in SIMD lanes.
+//! A chunk of candidates in the quads of a tile: evaluated in SIMD lanes, batch by batch, nearest first.
 
 use glam::DVec3;
 use pulp::Simd;
 
-use super::BeamTracer;
-use super::block::{Block, State};
-use super::desk::{Colour, Desk, Entry, KeyRange};
-use super::lanes::{Lanes, edge, texels_of_vector};
-use super::project::{Candidate, LOG2_ALPHA_MIN};
+use super::candidate::Candidate;
+use super::deal::{BLOCKS_PER_ROW, Listed, Lists, QUADS_PER_ROW};
+use super::desk::{Colour, Desk, Entry};
+use super::lanes::{LANES, Lanes};
+use super::project::LOG2_ALPHA_MIN;
+use super::quad::{Quad, State};
+use super::{BeamTracer, QUADS_PER_BLOCK};
 use crate::job::{Order, ShDirection};
 use crate::scene::sh;
 use crate::scene::splats::ALPHA_MAX;
 use crate::trace::counters::Tally;
 use crate::trace::{Ray, SurfaceHit, Tile, triangle};
 
-/// Candidates that a block evaluates before it looks which of them come next: enough for their arithmetic to overlap,
-/// few enough not to evaluate much behind an opaque surface.
+/// Candidates that a quad evaluates before it orders them: enough for their arithmetic to overlap, few enough not to
+/// evaluate much behind an opaque surface.
 const BATCH: usize = 8;
 
-/// Shades blocks; holds what they share so that nothing is allocated per block.
-pub(super) struct Shader<'a, const N: usize> {
+/// A quad whose desk holds this many more entries than after it was last cleared settles what it can: few enough for the
+/// desk to stay in the fastest cache.
+const SETTLE_EVERY: usize = 32;
+
+/// Shades quads; holds what they share so that nothing is allocated per quad.
+pub(super) struct Shader<'a> {
     tracer: &'a BeamTracer<'a>,
     origin: DVec3,
     tile: Tile,
-    /// Per block of the tile, the chunk's candidates that may touch it: key bound in the block, and index.
-    lists: Vec<Vec<u64>>,
-    /// Colours of entries whose lanes differ.
-    lane_colours: Vec<[Lanes<N>; 3]>,
-    desks: Vec<Box<Desk<N>>>,
+    /// Per row of quads, a bit for each whose rays have not all ended.
+    live: [u32; QUADS_PER_ROW],
+    buffers: &'a mut ShaderBuffers,
     pub tally: Tally,
 }
 
-impl<'a, const N: usize> Shader<'a, N> {
-    pub fn new(tracer: &'a BeamTracer<'a>, origin: DVec3, tile: &Tile) -> Self {
-        Self {
-            tracer,
-            origin,
-            tile: *tile,
-            lists: vec![Vec::new(); 64],
-            lane_colours: Vec::new(),
-            desks: Vec::new(),
-            tally: Tally::default(),
+/// What a shader needs room for.
+#[derive(Default)]
+pub(super) struct ShaderBuffers {
+    lists: Lists,
+    /// What reaches a block, in order.
+    listed: Vec<Listed>,
+    /// What of that reaches a quad.
+    list: Vec<Listed>,
+    /// Colours of entries whose lanes differ.
+    lane_colours: Vec<[Lanes; 3]>,
+    desks: Vec<Box<Desk>>,
+}
+
+impl<'a> Shader<'a> {
+    pub fn new(
+        tracer: &'a BeamTracer<'a>,
+        origin: DVec3,
+        tile: &Tile,
+        quads: &[Quad],
+        buffers: &'a mut ShaderBuffers,
+    ) -> Self {
+        let mut live = [0; QUADS_PER_ROW];
+        for (i, quad) in quads.iter().enumerate() {
+            live[i / QUADS_PER_ROW] |= u32::from(quad.state == State::Live) << (i % QUADS_PER_ROW);
         }
+        buffers.lane_colours.clear();
+        Self { tracer, origin, tile: *tile, live, buffers, tally: Tally::default() }
     }
 
-    /// Shades `chunk` in all live blocks. `bound` is a lower bound on the keys of all candidates after the chunk; `live`
-    /// has a bit per block with rays that have not ended, and is updated.
+    /// The blocks that have rays which have not ended.
+    pub fn live_blocks(&self) -> u64 {
+        let mut blocks = 0;
+        for (row, live) in self.live.iter().enumerate() {
+            let mut live = *live;
+            while live != 0 {
+                let column = live.trailing_zeros() as usize;
+                live &= live - 1;
+                blocks |= 1 << (row / QUADS_PER_BLOCK * BLOCKS_PER_ROW + column / QUADS_PER_BLOCK);
+            }
+        }
+        blocks
+    }
+
+    /// Shades `chunk` in all live quads. `bound` is a lower bound on the keys of all candidates after the chunk.
     #[inline(always)]
-    pub fn shade_chunk<S: Simd>(
-        &mut self,
-        simd: S,
-        blocks: &mut [Block<N>],
-        chunk: &[Candidate],
-        bound: f32,
-        live: &mut u64,
-    ) {
-        self.deal(chunk, *live);
-        for (i, block) in blocks.iter_mut().enumerate() {
-            let mut list = std::mem::take(&mut self.lists[i]);
-            if *live & 1 << i != 0 && (!list.is_empty() || bound == f32::INFINITY) {
-                list.sort_unstable();
-                self.shade(simd, block, chunk, &list, bound);
-                if block.state != State::Live {
-                    *live &= !(1 << i);
+    pub fn shade_chunk<S: Simd>(&mut self, simd: S, quads: &mut [Quad], chunk: &[Candidate], bound: f32) {
+        self.buffers.lists.deal(simd, chunk, self.tracer.settings.order, &self.live);
+        let mut listed = std::mem::take(&mut self.buffers.listed);
+        let mut list = std::mem::take(&mut self.buffers.list);
+        for block in 0..BLOCKS_PER_ROW * BLOCKS_PER_ROW {
+            self.buffers.lists.order(block, &mut listed);
+            list.resize(listed.len().max(list.len()), Listed::default());
+            let (first_row, first_column) =
+                (block / BLOCKS_PER_ROW * QUADS_PER_BLOCK, block % BLOCKS_PER_ROW * QUADS_PER_BLOCK);
+            for k in 0..QUADS_PER_BLOCK * QUADS_PER_BLOCK {
+                let (row, column) = (first_row + k / QUADS_PER_BLOCK, first_column + k % QUADS_PER_BLOCK);
+                let quad = &mut quads[row * QUADS_PER_ROW + column];
+                if quad.state != State::Live {
+                    continue;
                 }
-            }
-            list.clear();
-            self.lists[i] = list;
-        }
-    }
-
-    /// Lists each candidate in the live blocks it may touch, with the least key it can have there.
-    #[inline(always)]
-    fn deal(&mut self, chunk: &[Candidate], live: u64) {
-        let edge = edge(N) as f32;
-        for (i, candidate) in chunk.iter().enumerate() {
-            let mut blocks = candidate.blocks & live;
-            while blocks != 0 {
-                let block = blocks.trailing_zeros();
-                blocks &= blocks - 1;
-                let key_low = match self.tracer.settings.order {
-                    Order::RayHitDistance => {
-                        candidate.depth_low_in((block % 8) as f32 * edge, (block / 8) as f32 * edge, edge)
-                    }
-                    Order::CameraDistance => candidate.key_low,
-                };
-                // Keys are not negative, so their bit patterns order as they do.
-                self.lists[block as usize].push(u64::from(key_low.to_bits()) << 32 | i as u64);
+                let mut length = 0;
+                for &candidate in &listed {
+                    list[length] = candidate;
+                    length += usize::from(candidate.reaches(k));
+                }
+                if length > 0 || bound == f32::INFINITY || !quad.takes(simd, bound) {
+                    self.shade(simd, quad, chunk, &list[..length], bound);
+                }
+                self.live[row] &= !(u32::from(quad.state != State::Live) << column);
             }
         }
+        self.buffers.listed = listed;
+        self.buffers.list = list;
     }
 
-    /// Evaluates `list`, sorted, in `block`; blends everything whose order is settled when all keys still to come are
-    /// at least `bound`.
+    /// Evaluates `list`, in its order, in `quad`, until no ray takes anything more; blends everything whose order is settled
+    /// when all keys still to come are at least `bound`.
     #[inline(always)]
-    fn shade<S: Simd>(&mut self, simd: S, block: &mut Block<N>, chunk: &[Candidate], list: &[u64], bound: f32) {
+    fn shade<S: Simd>(&mut self, simd: S, quad: &mut Quad, chunk: &[Candidate], list: &[Listed], bound: f32) {
         let cutoff = self.tracer.settings.t_cutoff;
-        let mut desk = block.take_desk(&mut self.desks);
-        let mut rest = list.iter();
-        loop {
-            let mut batch = [(0u32, KeyRange::EMPTY, 0u32); BATCH];
-            let mut filled = 0;
-            let mut next = bound;
-            for &listed in rest.by_ref() {
-                let candidate = &chunk[listed as u32 as usize];
-                let slot = desk.slot();
-                let keys = if candidate.is_gaussian() {
-                    self.evaluate(simd, block, candidate, desk.entry(slot))
-                } else {
-                    self.intersect(block, candidate, desk.entry(slot))
-                };
-                batch[filled] = (slot, keys, candidate.index);
-                filled += 1;
-                if filled == BATCH {
-                    next = f32::from_bits((listed >> 32) as u32).min(bound);
-                    break;
-                }
-            }
-            for &(slot, keys, index) in &batch[..filled] {
-                if keys.is_empty() { desk.release(slot) } else { desk.wait(slot, keys, index) }
-            }
-            block.advance(simd, &mut desk, next, cutoff, &self.lane_colours);
-            if filled < BATCH || block.state != State::Live {
+        let mut desk = quad.take_desk(&mut self.buffers.desks);
+        let mut full = desk.len() + SETTLE_EVERY;
+        let mut rest = list;
+        while !rest.is_empty() {
+            if !quad.takes(simd, rest[0].key_low) {
                 break;
             }
+            let first = desk.len();
+            let gaussians =
+                rest.iter().take(BATCH).take_while(|listed| chunk[listed.index as usize].is_gaussian()).count();
+            let (batch, after) = rest.split_at(gaussians.max(1));
+            if gaussians > 0 {
+                self.evaluate(simd, quad, chunk, batch, desk.add(gaussians));
+            } else {
+                self.intersect(quad, &chunk[batch[0].index as usize], &mut desk.add(1)[0]);
+            }
+            quad.arrive(simd, desk.entries(), first, cutoff);
+            rest = after;
+            if desk.len() >= full {
+                let next = rest.first().map_or(bound, |listed| listed.key_low.min(bound));
+                quad.settle(simd, &mut desk, next, cutoff, &self.buffers.lane_colours);
+                if quad.state != State::Live {
+                    break;
+                }
+                full = desk.len() * 2 + SETTLE_EVERY;
+            }
         }
-        block.return_desk(desk, &mut self.desks);
+        if quad.state == State::Live {
+            let next = rest.first().map_or(bound, |listed| listed.key_low.min(bound));
+            quad.settle(simd, &mut desk, next, cutoff, &self.buffers.lane_colours);
+        }
+        quad.return_desk(desk, &mut self.buffers.desks);
     }
 
-    /// Makes the entry of a Gaussian; its keys are empty if no lane sees it respond with at least 1/255 where it still
-    /// counts.
+    /// Makes the entries of some Gaussians: where they respond with at least 1/255 and still count.
+    ///
+    /// In three sweeps over the batch: the chain of one evaluation takes longer than its arithmetic, and the processor looks
+    /// ahead over more of them when each sweep is short.
     #[inline(always)]
     fn evaluate<S: Simd>(
         &mut self,
         simd: S,
-        block: &Block<N>,
-        candidate: &Candidate,
-        entry: &mut Entry<N>,
-    ) -> KeyRange {
-        let Candidate { u, s, h, falloff, log2_opacity, depth, .. } = *candidate;
-        let fixed_key = (self.tracer.settings.order == Order::CameraDistance).then_some(candidate.key_low);
-        let (nowhere, infinity) = (simd.splat_f32s(f32::NEG_INFINITY), simd.splat_f32s(f32::INFINITY));
-        let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
-        let (mut key_min, mut key_max) = (infinity, nowhere);
-        let (left, top) = (block.x.0[0] as i32, block.y.0[0] as i32);
-        let columns = candidate.columns.map(|column| i32::from(column) - left);
-        let rows = candidate.rows.map(|row| i32::from(row) - top);
-        for v in 0..N / S::F32_LANES {
-            let near_depth = block.near_depth.get::<S>(v);
-            let [across, down] = texels_of_vector(N, S::F32_LANES, v).map(|ends| ends.map(|end| end as i32));
-            let outside =
-                (columns[0] > across[1]) | (columns[1] < across[0]) | (rows[0] > down[1]) | (rows[1] < down[0]);
-            if outside || simd.first_true_m32s(simd.less_than_f32s(near_depth, infinity)) >= S::F32_LANES {
-                entry.key.set::<S>(v, nowhere);
-                entry.depth.set::<S>(v, zero);
-                entry.alpha.set::<S>(v, zero);
-                continue;
+        quad: &Quad,
+        chunk: &[Candidate],
+        batch: &[Listed],
+        entries: &mut [Entry],
+    ) {
+        let by_camera = self.tracer.settings.order == Order::CameraDistance;
+        let (nowhere, zero, one) = (simd.splat_f32s(f32::NEG_INFINITY), simd.splat_f32s(0.0), simd.splat_f32s(1.0));
+        for v in 0..LANES / S::F32_LANES {
+            let (x, y) = (quad.x.get::<S>(v), quad.y.get::<S>(v));
+            for (listed, entry) in batch.iter().zip(&mut *entries) {
+                let Candidate { u, s, h, falloff, depth, .. } = chunk[listed.index as usize];
+                let u = affine(simd, u, x, y);
+                let h = affine(simd, h, x, y);
+                let s = simd.mul_add_e_f32s(simd.splat_f32s(s[1]), y, simd.splat_f32s(s[0]));
+                let across = simd.mul_add_e_f32s(u, u, simd.mul_f32s(s, s));
+                entry.before.set::<S>(v, simd.mul_add_e_f32s(h, h, across));
+                entry.alpha.set::<S>(v, simd.mul_f32s(simd.splat_f32s(falloff), across));
+                entry.depth.set::<S>(v, simd.mul_f32s(simd.splat_f32s(depth), h));
             }
-            self.tally.evaluations += S::F32_LANES as u64;
-            let (x, y) = (block.x.get::<S>(v), block.y.get::<S>(v));
-            let u = affine(simd, u, x, y);
-            let h = affine(simd, h, x, y);
-            let s = simd.mul_add_e_f32s(simd.splat_f32s(s[1]), y, simd.splat_f32s(s[0]));
-            let across = simd.mul_add_e_f32s(u, u, simd.mul_f32s(s, s));
-            let v_squared_inverse = simd.div_f32s(one, simd.mul_add_e_f32s(h, h, across));
-            let fall = simd.mul_f32s(simd.splat_f32s(falloff), simd.mul_f32s(across, v_squared_inverse));
-            let exponent = simd.sub_f32s(simd.splat_f32s(log2_opacity), fall);
-            let lane_depth = simd.mul_f32s(simd.mul_f32s(simd.splat_f32s(depth), h), v_squared_inverse);
-            let contributes = simd.and_m32s(
-                simd.greater_than_or_equal_f32s(exponent, simd.splat_f32s(LOG2_ALPHA_MIN as f32)),
-                simd.greater_than_f32s(lane_depth, near_depth),
-            );
-            let alpha = simd.min_f32s(exp2(simd, exponent), simd.splat_f32s(ALPHA_MAX as f32));
-            let key = match fixed_key {
-                Some(key) => simd.splat_f32s(key),
-                None => lane_depth,
-            };
-            let stored_key = simd.select_f32s(contributes, key, nowhere);
-            key_min = simd.min_f32s(key_min, simd.select_f32s(contributes, key, infinity));
-            key_max = simd.max_f32s(key_max, stored_key);
-            entry.key.set::<S>(v, stored_key);
-            entry.depth.set::<S>(v, lane_depth);
-            entry.alpha.set::<S>(v, simd.select_f32s(contributes, alpha, zero));
+            let (near_depth, far) = (quad.near_depth.get::<S>(v), quad.far.get::<S>(v));
+            for (listed, entry) in batch.iter().zip(&mut *entries) {
+                let Candidate { log2_opacity, key_low, .. } = chunk[listed.index as usize];
+                let v_squared_inverse = simd.div_f32s(one, entry.before.get::<S>(v));
+                let fall = simd.mul_f32s(entry.alpha.get::<S>(v), v_squared_inverse);
+                let exponent = simd.sub_f32s(simd.splat_f32s(log2_opacity), fall);
+                let depth = simd.mul_f32s(entry.depth.get::<S>(v), v_squared_inverse);
+                let key = if by_camera { simd.splat_f32s(key_low) } else { depth };
+                let responds = simd.greater_than_or_equal_f32s(exponent, simd.splat_f32s(LOG2_ALPHA_MIN as f32));
+                let counts =
+                    simd.and_m32s(simd.greater_than_f32s(depth, near_depth), simd.less_than_or_equal_f32s(key, far));
+                entry.key.set::<S>(v, simd.select_f32s(simd.and_m32s(responds, counts), key, nowhere));
+                entry.depth.set::<S>(v, depth);
+                entry.alpha.set::<S>(v, exponent);
+            }
+            for entry in &mut *entries {
+                let alpha = simd.min_f32s(exp2(simd, entry.alpha.get::<S>(v)), simd.splat_f32s(ALPHA_MAX as f32));
+                let contributes = simd.greater_than_f32s(entry.key.get::<S>(v), nowhere);
+                entry.alpha.set::<S>(v, simd.select_f32s(contributes, alpha, zero));
+            }
         }
-        let key_min = simd.reduce_min_f32s(key_min);
-        if key_min == f32::INFINITY {
-            return KeyRange::EMPTY;
+        self.tally.evaluations += (LANES * batch.len()) as u64;
+        for (listed, entry) in batch.iter().zip(entries) {
+            let candidate = &chunk[listed.index as usize];
+            entry.index = candidate.index;
+            entry.colour = self.colour(quad, candidate, &entry.alpha);
+            if self.tracer.counters.is_some() {
+                self.tally.contributions += entry.alpha.0.iter().filter(|&&alpha| alpha > 0.0).count() as u64;
+            }
         }
-        if self.tracer.counters.is_some() {
-            self.tally.contributions += entry.alpha.0.iter().filter(|&&alpha| alpha > 0.0).count() as u64;
-        }
-        let linear = self.tracer.scene.splats.is_linear(candidate.index as usize);
-        entry.colour = match (self.tracer.settings.sh_direction, linear) {
-            (ShDirection::Mean, false) => Colour::Splat(candidate.colour),
-            (ShDirection::Mean, true) => Colour::Linear(candidate.colour),
-            (ShDirection::Ray, false) => Colour::SplatLanes(self.colours_along_rays(block, candidate.index as usize)),
-            (ShDirection::Ray, true) => Colour::LinearLanes(self.colours_along_rays(block, candidate.index as usize)),
-        };
-        KeyRange { min: key_min, max: simd.reduce_max_f32s(key_max) }
     }
 
-    /// Makes the entry of a triangle; its keys are empty if no lane sees it.
-    fn intersect(&mut self, block: &mut Block<N>, candidate: &Candidate, entry: &mut Entry<N>) -> KeyRange {
+    #[inline(always)]
+    fn colour(&mut self, quad: &Quad, candidate: &Candidate, alpha: &Lanes) -> Colour {
+        if self.tracer.settings.sh_direction == ShDirection::Ray && alpha.0.iter().any(|&alpha| alpha > 0.0) {
+            let colours = self.colours_along_rays(quad, candidate.index as usize);
+            return if candidate.linear { Colour::LinearLanes(colours) } else { Colour::SplatLanes(colours) };
+        }
+        if candidate.linear { Colour::Linear(candidate.colour) } else { Colour::Splat(candidate.colour) }
+    }
+
+    /// Makes the entry of a triangle.
+    fn intersect(&mut self, quad: &mut Quad, candidate: &Candidate, entry: &mut Entry) {
         let index = candidate.triangle();
         let (scene, surfaces) = (self.tracer.scene, self.tracer.surfaces);
         let corners = scene.meshes.corners(index as usize).map(|corner| corner.as_dvec3() - self.origin);
         let (double_sided, opaque) = (surfaces.is_double_sided(index), surfaces.is_opaque(index));
         let mut colours = [Lanes::splat(0.0); 3];
-        *entry = Entry::EMPTY;
-        let mut keys = KeyRange::EMPTY;
-        for lane in 0..N {
-            if block.near_depth.0[lane] == f32::INFINITY {
-                continue;
-            }
+        *entry = Entry { index: candidate.index, ..Entry::EMPTY };
+        let mut seen_by_any = false;
+        for lane in 0..LANES {
             // The same unit direction as the ray tracer's, so that both see the same edges.
-            let direction = block.direction(&self.tile, lane).normalize();
+            let direction = quad.direction(&self.tile, lane).normalize();
             let Some(met) = triangle::intersect(corners, direction) else { continue };
             let seen = met.front || double_sided;
             let distance = met.distance as f32;
             if !seen
                 || met.distance <= f64::from(self.tracer.settings.t_near)
-                || distance > block.opaque_distance.0[lane]
+                || distance > quad.opaque_distance.0[lane]
             {
                 continue;
             }
             if opaque {
-                block.opaque_distance.0[lane] = distance;
+                quad.opaque_distance.0[lane] = distance;
+            }
+            let depth = distance / quad.metres_per_depth.0[lane];
+            let key = match self.tracer.settings.order {
+                Order::RayHitDistance => depth,
+                Order::CameraDistance => distance,
+            };
+            if key > quad.far.0[lane] {
+                continue;
             }
             let hit =
                 SurfaceHit { triangle: index, barycentric: met.barycentric, front: met.front, distance: met.distance };
@@ -233,37 +255,32 @@ impl<'a, const N: usize> Shader<'a, N> {
             if fragment.alpha <= 0.0 {
                 continue;
             }
-            entry.depth.0[lane] = met.distance as f32 / block.metres_per_depth.0[lane];
-            entry.key.0[lane] = match self.tracer.settings.order {
-                Order::RayHitDistance => entry.depth.0[lane],
-                Order::CameraDistance => met.distance as f32,
-            };
+            entry.depth.0[lane] = depth;
+            entry.key.0[lane] = key;
             entry.alpha.0[lane] = fragment.alpha;
-            keys.min = keys.min.min(entry.key.0[lane]);
-            keys.max = keys.max.max(entry.key.0[lane]);
+            seen_by_any = true;
             for (channel, value) in colours.iter_mut().zip(fragment.radiance.0.to_array()) {
                 channel.0[lane] = value;
             }
         }
-        if !keys.is_empty() {
-            entry.colour = Colour::LinearLanes(self.lane_colours.len() as u32);
-            self.lane_colours.push(colours);
+        if seen_by_any {
+            entry.colour = Colour::LinearLanes(self.buffers.lane_colours.len() as u32);
+            self.buffers.lane_colours.push(colours);
         }
-        keys
     }
 
-    fn colours_along_rays(&mut self, block: &Block<N>, index: usize) -> u32 {
+    fn colours_along_rays(&mut self, quad: &Quad, index: usize) -> u32 {
         let splats = &self.tracer.scene.splats;
         let mut colours = [Lanes::splat(0.0); 3];
-        for lane in 0..N {
-            let direction = block.direction(&self.tile, lane).normalize().as_vec3();
+        for lane in 0..LANES {
+            let direction = quad.direction(&self.tile, lane).normalize().as_vec3();
             let colour = sh::evaluate(splats.sh_degree, splats.sh_of(index), direction);
             for (channel, value) in colours.iter_mut().zip(colour.to_array()) {
                 channel.0[lane] = value;
             }
         }
-        self.lane_colours.push(colours);
-        self.lane_colours.len() as u32 - 1
+        self.buffers.lane_colours.push(colours);
+        self.buffers.lane_colours.len() as u32 - 1
     }
 }
 

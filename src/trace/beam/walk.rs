@@ -7,8 +7,9 @@ use glam::DVec3;
 use pulp::Simd;
 
 use super::BeamTracer;
+use super::candidate::Candidate;
 use super::frustum::Frustum;
-use super::project::{Candidate, Projection};
+use super::project::Projection;
 use crate::bvh::{Child, WIDTH};
 use crate::job::ShDirection;
 use crate::scene::sh;
@@ -33,6 +34,13 @@ pub(super) struct Walk<'a> {
     /// Where the present window ends, and the one before it ended.
     window: f32,
     complete: f32,
+    pub buffers: &'a mut WalkBuffers,
+    pub tally: Tally,
+}
+
+/// What a walk needs room for.
+#[derive(Default)]
+pub(super) struct WalkBuffers {
     /// Nodes to open in this window.
     open: Vec<u32>,
     later: Vec<Later>,
@@ -43,7 +51,6 @@ pub(super) struct Walk<'a> {
     free: Vec<u32>,
     /// Candidates to shade.
     pub chunk: Vec<Candidate>,
-    pub tally: Tally,
 }
 
 /// What begins behind the window.
@@ -64,20 +71,29 @@ enum Waiting {
 }
 
 impl<'a> Walk<'a> {
-    pub fn new(tracer: &'a BeamTracer<'a>, origin: DVec3, tile: &Tile, block_edge: u32) -> Self {
+    pub fn new(
+        tracer: &'a BeamTracer<'a>,
+        origin: DVec3,
+        tile: &Tile,
+        block_edge: u32,
+        buffers: &'a mut WalkBuffers,
+    ) -> Self {
         let TraceSettings { order, footprint, .. } = tracer.settings;
+        for list in [&mut buffers.later, &mut buffers.waited] {
+            list.clear();
+        }
+        buffers.open.clear();
+        buffers.open.extend((!tracer.bvh.nodes.is_empty()).then_some(0));
+        buffers.projected.clear();
+        buffers.free.clear();
+        buffers.chunk.clear();
         Self {
             tracer,
             frustum: Frustum::new(origin, tile, block_edge, order, footprint),
             projection: Projection::new(origin, tile, block_edge, order, footprint),
             window: 0.0,
             complete: 0.0,
-            open: if tracer.bvh.nodes.is_empty() { Vec::new() } else { vec![0] },
-            later: Vec::new(),
-            waited: Vec::new(),
-            projected: Vec::new(),
-            free: Vec::new(),
-            chunk: Vec::with_capacity(CHUNK),
+            buffers,
             tally: Tally::default(),
         }
     }
@@ -87,18 +103,18 @@ impl<'a> Walk<'a> {
     #[inline(always)]
     pub fn gather<S: Simd>(&mut self, simd: S, live: u64) -> f32 {
         loop {
-            while let Some(node) = self.open.pop() {
+            while let Some(node) = self.buffers.open.pop() {
                 self.open_node(simd, node, live);
-                if self.chunk.len() >= CHUNK_MAX {
+                if self.buffers.chunk.len() >= CHUNK_MAX {
                     return self.complete;
                 }
             }
             self.project(simd, live);
             self.complete = self.window;
-            if self.later.is_empty() {
+            if self.buffers.later.is_empty() {
                 return f32::INFINITY;
             }
-            if self.chunk.len() >= CHUNK {
+            if self.buffers.chunk.len() >= CHUNK {
                 return self.complete;
             }
             self.begin_window(simd, live);
@@ -109,16 +125,16 @@ impl<'a> Walk<'a> {
     #[inline(always)]
     fn begin_window<S: Simd>(&mut self, simd: S, live: u64) {
         let mut nearest = f32::INFINITY;
-        for later in &self.later {
+        for later in &self.buffers.later {
             nearest = if later.key < nearest { later.key } else { nearest };
         }
         // At least one more, even if its key is 0.
         self.window = (self.window.max(nearest) * WINDOW_GROWTH).max(f32::MIN_POSITIVE);
-        std::mem::swap(&mut self.later, &mut self.waited);
-        for i in 0..self.waited.len() {
-            let later = self.waited[i];
+        std::mem::swap(&mut self.buffers.later, &mut self.buffers.waited);
+        for i in 0..self.buffers.waited.len() {
+            let later = self.buffers.waited[i];
             if later.key >= self.window {
-                self.later.push(later);
+                self.buffers.later.push(later);
                 continue;
             }
             let seen = later.blocks & live != 0;
@@ -126,15 +142,15 @@ impl<'a> Walk<'a> {
                 Waiting::Child(child) if seen => self.meet(simd, child, live),
                 Waiting::Child(_) => {}
                 Waiting::Projected(slot) => {
-                    self.free.push(slot);
+                    self.buffers.free.push(slot);
                     if seen {
-                        let candidate = self.projected[slot as usize];
+                        let candidate = self.buffers.projected[slot as usize];
                         self.choose(candidate);
                     }
                 }
             }
         }
-        self.waited.clear();
+        self.buffers.waited.clear();
     }
 
     #[inline(always)]
@@ -151,7 +167,7 @@ impl<'a> Walk<'a> {
             if seen.keys[lane] < self.window {
                 self.meet(simd, child, live);
             } else {
-                self.later.push(Later { key: seen.keys[lane], what: Waiting::Child(child), blocks });
+                self.buffers.later.push(Later { key: seen.keys[lane], what: Waiting::Child(child), blocks });
             }
         }
     }
@@ -160,7 +176,7 @@ impl<'a> Walk<'a> {
     fn meet<S: Simd>(&mut self, simd: S, child: Child, live: u64) {
         let scene = self.tracer.scene;
         match child {
-            Child::Node(node) => self.open.push(node),
+            Child::Node(node) => self.buffers.open.push(node),
             Child::Gaussian(index) => {
                 if self.projection.add(&scene.splats, index) {
                     self.project(simd, live);
@@ -195,25 +211,25 @@ impl<'a> Walk<'a> {
             self.choose(candidate);
             return;
         }
-        let slot = match self.free.pop() {
+        let slot = match self.buffers.free.pop() {
             Some(slot) => {
-                self.projected[slot as usize] = candidate;
+                self.buffers.projected[slot as usize] = candidate;
                 slot
             }
             None => {
-                self.projected.push(candidate);
-                self.projected.len() as u32 - 1
+                self.buffers.projected.push(candidate);
+                self.buffers.projected.len() as u32 - 1
             }
         };
-        self.later.push(Later { key: candidate.key_low, what: Waiting::Projected(slot), blocks });
+        self.buffers.later.push(Later { key: candidate.key_low, what: Waiting::Projected(slot), blocks });
     }
 
     /// Adds a candidate to the chunk, with its colour, now that it is known to be seen.
     #[inline(always)]
     fn choose(&mut self, candidate: Candidate) {
         self.tally.candidates += 1;
-        self.chunk.push(candidate);
-        let Some(added) = self.chunk.last_mut().filter(|added| added.is_gaussian()) else { return };
+        self.buffers.chunk.push(candidate);
+        let Some(added) = self.buffers.chunk.last_mut().filter(|added| added.is_gaussian()) else { return };
         if let Some(counters) = self.tracer.counters {
             counters.touch(added.index);
         }
@@ -222,5 +238,6 @@ impl<'a> Walk<'a> {
             let direction = (splats.means[index].as_dvec3() - self.projection.origin).normalize().as_vec3();
             added.colour = sh::evaluate(splats.sh_degree, splats.sh_of(index), direction).to_array();
         }
+        added.linear = self.tracer.scene.splats.is_linear(added.index as usize);
     }
 }

@@ -18,7 +18,7 @@ use super::{Row, worse};
 /// What the numbers are.
 pub const WHAT: &str = "Production tracers against the f64 reference, without a cut-off: the largest difference of any texel's colour sums, \
 transmittance, or mean distance (relative to the scene's size), in both orders of blending, with and without a \
-footprint, in narrow and wide blocks. Rays on which the model itself jumps within rounding are left out: a response \
+footprint, on whole small faces and within a large one. Rays on which the model itself jumps within rounding are left out: a response \
 at the threshold of 1/255, two at the same distance, one that is strongest at the probe itself. Rods are thinner \
 than f32 can place a ray; the beam cannot resolve discs thinner than about 1e-13 of their distance, which no row \
 shows.";
@@ -63,7 +63,7 @@ impl Case {
             .chain(Level::available().into_iter().map(|level| format!("beam, {}", level.name())));
         let mut worst: Vec<(String, f64)> = names.map(|name| (name, 0.0)).collect();
         for origin in &self.origins {
-            for way in [narrow, narrow_widened, wide] {
+            for way in [whole, whole_widened, piece] {
                 for (worst, found) in worst.iter_mut().zip(self.differences(&bvh, *origin, way)) {
                     worst.1 = worse(worst.1, found);
                 }
@@ -118,21 +118,21 @@ impl Case {
 }
 
 /// Whole faces, as they are traced by default.
-fn narrow(size: u32) -> (TraceSettings, Tile) {
+fn whole(size: u32) -> (TraceSettings, Tile) {
     let tile = Tile { face: Face::PosX, face_size: size, x: 0, y: 0, width: size, height: size };
     (TraceSettings { t_cutoff: 0.0, ..TraceSettings::default() }, tile)
 }
 
 /// The same in the other order, with colours by ray, of Gaussians as wide as a pixel.
-fn narrow_widened(size: u32) -> (TraceSettings, Tile) {
-    let (settings, tile) = narrow(size);
+fn whole_widened(size: u32) -> (TraceSettings, Tile) {
+    let (settings, tile) = whole(size);
     let (order, sh_direction, footprint) = (Order::CameraDistance, ShDirection::Ray, Footprint::pixel(size, 0.3));
     (TraceSettings { order, sh_direction, footprint, ..settings }, tile)
 }
 
-/// A piece of a face large enough for wide blocks.
-fn wide(size: u32) -> (TraceSettings, Tile) {
-    let (settings, tile) = narrow(size);
+/// A piece of a large face.
+fn piece(size: u32) -> (TraceSettings, Tile) {
+    let (settings, tile) = whole(size);
     (settings, Tile { face_size: 600, x: 290, y: 300, ..tile })
 }
 
