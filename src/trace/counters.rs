@@ -97,7 +97,7 @@ impl Counters {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "camelCase")]
 pub struct CounterReport {
-    /// Squares of 8 x 8 blocks of texels, each of which went through the tree by itself.
+    /// Pieces of faces, of at most 64 x 64 texels, each of which went through the tree by itself.
     pub tiles: u64,
     /// Rays traced.
     pub rays: u64,

@@ -14,6 +14,9 @@ pub(super) const QUADS_PER_ROW: usize = LANES;
 /// Blocks along an edge of the largest tile.
 pub(super) const BLOCKS_PER_ROW: usize = QUADS_PER_ROW / QUADS_PER_BLOCK;
 
+/// The bits of a row of a block's quads.
+const ROW_OF_BLOCK: u32 = (1 << QUADS_PER_BLOCK) - 1;
+
 const _: () = assert!(QUADS_PER_ROW == (Tile::EDGE / QUAD) as usize);
 
 /// Middles of a row of quads, in texels.
@@ -111,8 +114,8 @@ impl Lists {
                 while any != 0 {
                     let block = any.trailing_zeros() as usize / QUADS_PER_BLOCK;
                     let first = block * QUADS_PER_BLOCK;
-                    let quads = rows[0] >> first & 3 | (rows[1] >> first & 3) << 2;
-                    any &= !(3 << first);
+                    let quads = rows[0] >> first & ROW_OF_BLOCK | (rows[1] >> first & ROW_OF_BLOCK) << QUADS_PER_BLOCK;
+                    any &= !(ROW_OF_BLOCK << first);
                     let (key, key_low) = match by {
                         Order::RayHitDistance => {
                             let edge = (QUADS_PER_BLOCK as u32 * QUAD) as f32;
@@ -152,4 +155,84 @@ fn reached<S: Simd>(simd: S, candidate: &Candidate, quad_row: usize) -> u32 {
         bits = simd.add_f32s(bits, simd.select_f32s(inside, BITS.get::<S>(v), zero));
     }
     simd.reduce_sum_f32s(bits) as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DQuat, DVec3, Vec3};
+    use pulp::WithSimd;
+
+    use super::*;
+    use crate::scene::Splats;
+    use crate::trace::beam::project::{LOG2_ALPHA_MIN, Projection};
+    use crate::trace::{Face, Footprint, Level};
+
+    /// The candidates of some Gaussians in a tile, and which quads each reaches, by rows.
+    struct Reach<'a>(&'a Splats, &'a Tile);
+
+    impl WithSimd for Reach<'_> {
+        type Output = Vec<(Candidate, Vec<u32>)>;
+
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+            let mut projection = Projection::new(DVec3::ZERO, self.1, 8, Order::RayHitDistance, Footprint::default());
+            let mut reached_by = Vec::new();
+            for index in 0..self.0.len() as u32 {
+                projection.add(self.0, index);
+                for lane in 0..projection.project(simd) {
+                    if let Some(candidate) = projection.candidate(lane) {
+                        let rows = (0..QUADS_PER_ROW).map(|row| reached(simd, &candidate, row)).collect();
+                        reached_by.push((candidate, rows));
+                    }
+                }
+            }
+            reached_by
+        }
+    }
+
+    #[test]
+    fn a_cone_reaches_every_quad_with_a_texel_that_responds_and_few_others() {
+        let mut random = 7u64;
+        let mut uniform = || {
+            random = random.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            (random >> 11) as f64 / (1u64 << 53) as f64
+        };
+        let mut splats = Splats::default();
+        for _ in 0..400 {
+            let rotation = DQuat::from_xyzw(uniform() - 0.5, uniform() - 0.5, uniform() - 0.5, uniform()).normalize();
+            let mut deviation = || 0.001 * 1000f64.powf(uniform());
+            splats
+                .unit_from_world
+                .push(Splats::unit_from_world(rotation, DVec3::new(deviation(), deviation(), deviation())));
+            let distance = 0.2 * 50f64.powf(uniform());
+            let mean = DVec3::new(1.0, 0.5 * uniform() - 0.25, 0.5 * uniform() - 0.25) * distance;
+            splats.means.push(Vec3::new(mean.x as f32, mean.y as f32, mean.z as f32));
+            splats.opacities.push(0.02 + 0.97 * uniform() as f32);
+        }
+        let tile = Tile { face: Face::PosX, face_size: 256, x: 96, y: 96, width: 64, height: 64 };
+        for level in Level::available() {
+            let (mut needed, mut reached) = (0, 0);
+            for (candidate, rows) in level.run(Reach(&splats, &tile)) {
+                let Candidate { u, s, h, .. } = candidate;
+                let mut responding = [0u32; QUADS_PER_ROW];
+                for texel in 0..64 * 64 {
+                    let (column, row) = (texel % 64, texel / 64);
+                    let (x, y) = (column as f32 + 0.5, row as f32 + 0.5);
+                    let (u, s, h) = (u[0] + u[1] * x + u[2] * y, s[0] + s[1] * y, h[0] + h[1] * x + h[2] * y);
+                    let exponent =
+                        candidate.log2_opacity - candidate.falloff * (u * u + s * s) / (u * u + s * s + h * h);
+                    if f64::from(exponent) >= LOG2_ALPHA_MIN && h > 0.0 {
+                        responding[row / QUAD as usize] |= 1 << (column / QUAD as usize);
+                    }
+                }
+                for (row, (responding, reached_by)) in responding.into_iter().zip(rows).enumerate() {
+                    assert_eq!(responding & !reached_by, 0, "{} row {row}: {candidate:?}", level.name());
+                    needed += responding.count_ones();
+                    reached += reached_by.count_ones();
+                }
+            }
+            // Of 256 quads each of 400 Gaussians; a share of them all, if it said yes to everything.
+            assert!(needed > 4000 && reached < needed * 3 / 2, "{} of {needed} and {reached}", level.name());
+        }
+    }
 }
