@@ -66,15 +66,20 @@ impl Desk {
         self.filled
     }
 
-    /// Takes `more` entries into use, to be written. What they hold is of no meaning.
+    /// The next `count` entries, to be written and then [`Self::keep`]t. What they hold is of no meaning.
     #[inline(always)]
-    pub fn add(&mut self, more: usize) -> &mut [Entry] {
-        let first = self.filled;
-        self.filled += more;
-        if self.entries.len() < self.filled {
-            self.entries.resize(self.filled, Entry::EMPTY);
+    pub fn room(&mut self, count: usize) -> &mut [Entry] {
+        let end = self.filled + count;
+        if self.entries.len() < end {
+            self.entries.resize(end, Entry::EMPTY);
         }
-        &mut self.entries[first..self.filled]
+        &mut self.entries[self.filled..end]
+    }
+
+    /// Takes `count` more entries into use.
+    #[inline(always)]
+    pub fn keep(&mut self, count: usize) {
+        self.filled += count;
     }
 
     /// Removes the settled entries.

@@ -6,7 +6,7 @@ use pulp::Simd;
 use super::candidate::Candidate;
 use super::deal::{BLOCKS_PER_ROW, Listed, Lists, QUADS_PER_ROW};
 use super::desk::{Colour, Desk, Entry};
-use super::lanes::{LANES, Lanes};
+use super::lanes::{LANES, Lanes, any};
 use super::project::LOG2_ALPHA_MIN;
 use super::quad::{Quad, State};
 use super::{BeamTracer, QUADS_PER_BLOCK};
@@ -126,11 +126,12 @@ impl<'a> Shader<'a> {
             let gaussians =
                 rest.iter().take(BATCH).take_while(|listed| chunk[listed.index as usize].is_gaussian()).count();
             let (batch, after) = rest.split_at(gaussians.max(1));
-            if gaussians > 0 {
-                self.evaluate(simd, quad, chunk, batch, desk.add(gaussians));
-            } else {
-                self.intersect(quad, &chunk[batch[0].index as usize], &mut desk.add(1)[0]);
-            }
+            let entries = desk.room(batch.len());
+            let made = match gaussians {
+                0 => self.intersect(quad, &chunk[batch[0].index as usize], &mut entries[0]),
+                _ => self.evaluate(simd, quad, chunk, batch, entries),
+            };
+            desk.keep(made);
             quad.arrive(simd, desk.entries(), first, cutoff);
             rest = after;
             if desk.len() >= full {
@@ -149,10 +150,10 @@ impl<'a> Shader<'a> {
         quad.return_desk(desk, &mut self.buffers.desks);
     }
 
-    /// Makes the entries of some Gaussians: where they respond with at least 1/255 and still count.
+    /// Makes the entries of some Gaussians, where they respond with at least 1/255 and still count; tells how many do.
     ///
     /// In three sweeps over the batch: the chain of one evaluation takes longer than its arithmetic, and the processor looks
-    /// ahead over more of them when each sweep is short.
+    /// ahead over more of them when each sweep is short. What contributes nowhere drops out before the last.
     #[inline(always)]
     fn evaluate<S: Simd>(
         &mut self,
@@ -161,64 +162,77 @@ impl<'a> Shader<'a> {
         chunk: &[Candidate],
         batch: &[Listed],
         entries: &mut [Entry],
-    ) {
+    ) -> usize {
         let by_camera = self.tracer.settings.order == Order::CameraDistance;
         let (nowhere, zero, one) = (simd.splat_f32s(f32::NEG_INFINITY), simd.splat_f32s(0.0), simd.splat_f32s(1.0));
+        // v.v, |p|^2 (u^2 + s^2) in units of the exponent, and |p| h.
+        let mut forms = [[Lanes::splat(0.0); 3]; BATCH];
         for v in 0..LANES / S::F32_LANES {
             let (x, y) = (quad.x.get::<S>(v), quad.y.get::<S>(v));
-            for (listed, entry) in batch.iter().zip(&mut *entries) {
+            for (listed, [squared, fall, depth_of]) in batch.iter().zip(&mut forms) {
                 let Candidate { u, s, h, falloff, depth, .. } = chunk[listed.index as usize];
                 let u = affine(simd, u, x, y);
                 let h = affine(simd, h, x, y);
                 let s = simd.mul_add_e_f32s(simd.splat_f32s(s[1]), y, simd.splat_f32s(s[0]));
                 let across = simd.mul_add_e_f32s(u, u, simd.mul_f32s(s, s));
-                entry.before.set::<S>(v, simd.mul_add_e_f32s(h, h, across));
-                entry.alpha.set::<S>(v, simd.mul_f32s(simd.splat_f32s(falloff), across));
-                entry.depth.set::<S>(v, simd.mul_f32s(simd.splat_f32s(depth), h));
+                squared.set::<S>(v, simd.mul_add_e_f32s(h, h, across));
+                fall.set::<S>(v, simd.mul_f32s(simd.splat_f32s(falloff), across));
+                depth_of.set::<S>(v, simd.mul_f32s(simd.splat_f32s(depth), h));
             }
-            let (near_depth, far) = (quad.near_depth.get::<S>(v), quad.far.get::<S>(v));
-            for (listed, entry) in batch.iter().zip(&mut *entries) {
-                let Candidate { log2_opacity, key_low, .. } = chunk[listed.index as usize];
-                let v_squared_inverse = simd.div_f32s(one, entry.before.get::<S>(v));
-                let fall = simd.mul_f32s(entry.alpha.get::<S>(v), v_squared_inverse);
-                let exponent = simd.sub_f32s(simd.splat_f32s(log2_opacity), fall);
-                let depth = simd.mul_f32s(entry.depth.get::<S>(v), v_squared_inverse);
-                let key = if by_camera { simd.splat_f32s(key_low) } else { depth };
+        }
+        let mut made = 0;
+        for (listed, [squared, fall, depth_of]) in batch.iter().zip(&forms) {
+            let candidate = &chunk[listed.index as usize];
+            let entry = &mut entries[made];
+            let mut contributes_somewhere = false;
+            for v in 0..LANES / S::F32_LANES {
+                let v_squared_inverse = simd.div_f32s(one, squared.get::<S>(v));
+                let fall = simd.mul_f32s(fall.get::<S>(v), v_squared_inverse);
+                let exponent = simd.sub_f32s(simd.splat_f32s(candidate.log2_opacity), fall);
+                let depth = simd.mul_f32s(depth_of.get::<S>(v), v_squared_inverse);
+                let key = if by_camera { simd.splat_f32s(candidate.key_low) } else { depth };
                 let responds = simd.greater_than_or_equal_f32s(exponent, simd.splat_f32s(LOG2_ALPHA_MIN as f32));
-                let counts =
-                    simd.and_m32s(simd.greater_than_f32s(depth, near_depth), simd.less_than_or_equal_f32s(key, far));
-                entry.key.set::<S>(v, simd.select_f32s(simd.and_m32s(responds, counts), key, nowhere));
+                let counts = simd.and_m32s(
+                    simd.greater_than_f32s(depth, quad.near_depth.get::<S>(v)),
+                    simd.less_than_or_equal_f32s(key, quad.far.get::<S>(v)),
+                );
+                let contributes = simd.and_m32s(responds, counts);
+                contributes_somewhere |= any(simd, contributes);
+                entry.key.set::<S>(v, simd.select_f32s(contributes, key, nowhere));
                 entry.depth.set::<S>(v, depth);
                 entry.alpha.set::<S>(v, exponent);
             }
+            entry.index = candidate.index;
+            entry.colour = match candidate.linear {
+                true => Colour::Linear(candidate.colour),
+                false => Colour::Splat(candidate.colour),
+            };
+            made += usize::from(contributes_somewhere);
+        }
+        let entries = &mut entries[..made];
+        for v in 0..LANES / S::F32_LANES {
             for entry in &mut *entries {
                 let alpha = simd.min_f32s(exp2(simd, entry.alpha.get::<S>(v)), simd.splat_f32s(ALPHA_MAX as f32));
                 let contributes = simd.greater_than_f32s(entry.key.get::<S>(v), nowhere);
                 entry.alpha.set::<S>(v, simd.select_f32s(contributes, alpha, zero));
             }
         }
+        if self.tracer.settings.sh_direction == ShDirection::Ray {
+            for entry in &mut *entries {
+                self.colour_by_ray(quad, entry);
+            }
+        }
         self.tally.evaluations += (LANES * batch.len()) as u64;
-        for (listed, entry) in batch.iter().zip(entries) {
-            let candidate = &chunk[listed.index as usize];
-            entry.index = candidate.index;
-            entry.colour = self.colour(quad, candidate, &entry.alpha);
-            if self.tracer.counters.is_some() {
+        if self.tracer.counters.is_some() {
+            for entry in entries {
                 self.tally.contributions += entry.alpha.0.iter().filter(|&&alpha| alpha > 0.0).count() as u64;
             }
         }
+        made
     }
 
-    #[inline(always)]
-    fn colour(&mut self, quad: &Quad, candidate: &Candidate, alpha: &Lanes) -> Colour {
-        if self.tracer.settings.sh_direction == ShDirection::Ray && alpha.0.iter().any(|&alpha| alpha > 0.0) {
-            let colours = self.colours_along_rays(quad, candidate.index as usize);
-            return if candidate.linear { Colour::LinearLanes(colours) } else { Colour::SplatLanes(colours) };
-        }
-        if candidate.linear { Colour::Linear(candidate.colour) } else { Colour::Splat(candidate.colour) }
-    }
-
-    /// Makes the entry of a triangle.
-    fn intersect(&mut self, quad: &mut Quad, candidate: &Candidate, entry: &mut Entry) {
+    /// Makes the entry of a triangle; 0 if no lane sees it, or else 1.
+    fn intersect(&mut self, quad: &mut Quad, candidate: &Candidate, entry: &mut Entry) -> usize {
         let index = candidate.triangle();
         let (scene, surfaces) = (self.tracer.scene, self.tracer.surfaces);
         let corners = scene.meshes.corners(index as usize).map(|corner| corner.as_dvec3() - self.origin);
@@ -267,20 +281,26 @@ impl<'a> Shader<'a> {
             entry.colour = Colour::LinearLanes(self.buffers.lane_colours.len() as u32);
             self.buffers.lane_colours.push(colours);
         }
+        usize::from(seen_by_any)
     }
 
-    fn colours_along_rays(&mut self, quad: &Quad, index: usize) -> u32 {
+    /// Evaluates a Gaussian's colour along each lane's ray.
+    fn colour_by_ray(&mut self, quad: &Quad, entry: &mut Entry) {
         let splats = &self.tracer.scene.splats;
         let mut colours = [Lanes::splat(0.0); 3];
         for lane in 0..LANES {
             let direction = quad.direction(&self.tile, lane).normalize().as_vec3();
-            let colour = sh::evaluate(splats.sh_degree, splats.sh_of(index), direction);
+            let colour = sh::evaluate(splats.sh_degree, splats.sh_of(entry.index as usize), direction);
             for (channel, value) in colours.iter_mut().zip(colour.to_array()) {
                 channel.0[lane] = value;
             }
         }
+        let place = self.buffers.lane_colours.len() as u32;
         self.buffers.lane_colours.push(colours);
-        self.buffers.lane_colours.len() as u32 - 1
+        entry.colour = match entry.colour {
+            Colour::Linear(_) | Colour::LinearLanes(_) => Colour::LinearLanes(place),
+            Colour::Splat(_) | Colour::SplatLanes(_) => Colour::SplatLanes(place),
+        };
     }
 }
 
