@@ -2,7 +2,7 @@
 //!
 //! A tile's frustum descends the tree in windows of the sort key, nearest first ([`frustum`], [`walk`]). What begins in a
 //! window is projected once per tile ([`project`]), dealt to the quads of texels that its cone reaches ([`deal`]), and
-//! evaluated ([`shade`]) and blended there in SIMD lanes, in exact order per ray ([`quad`]). Quads whose rays have all ended
+//! evaluated ([`shade`], [`evaluate`]) and blended there in SIMD lanes, in exact order per ray ([`quad`]). Quads whose rays have all ended
 //! take no part in the descent any more: what stands behind a wall is never projected.
 //
 // Tried: blocks of 8 x 8 texels with one order for all (half as many entries again, as rays end later than in quads);
@@ -12,6 +12,7 @@
 mod candidate;
 mod deal;
 mod desk;
+mod evaluate;
 mod frustum;
 mod image;
 mod lanes;
