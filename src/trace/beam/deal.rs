@@ -2,9 +2,9 @@
 
 use pulp::Simd;
 
-use super::QUADS_PER_BLOCK;
 use super::candidate::Candidate;
 use super::lanes::{LANES, Lanes, QUAD};
+use super::{BLOCK_EDGE, QUADS_PER_BLOCK};
 use crate::job::Order;
 use crate::trace::Tile;
 
@@ -118,7 +118,7 @@ impl Lists {
                     any &= !(ROW_OF_BLOCK << first);
                     let (key, key_low) = match by {
                         Order::RayHitDistance => {
-                            let edge = (QUADS_PER_BLOCK as u32 * QUAD) as f32;
+                            let edge = BLOCK_EDGE as f32;
                             let (x, y) = (block as f32 * edge, block_row as f32 * edge);
                             let low = candidate.depth_low_in(x, y, edge);
                             (candidate.depth_at(x + 0.5 * edge, y + 0.5 * edge).max(low), low)
@@ -175,7 +175,7 @@ mod tests {
 
         #[inline(always)]
         fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
-            let mut projection = Projection::new(DVec3::ZERO, self.1, 8, Order::RayHitDistance, Footprint::default());
+            let mut projection = Projection::new(DVec3::ZERO, self.1, Order::RayHitDistance, Footprint::default());
             let mut reached_by = Vec::new();
             for index in 0..self.0.len() as u32 {
                 projection.add(self.0, index);

@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 
+use super::BLOCK_EDGE;
 use crate::bvh::{Viewpoint, WIDTH, WideNode};
 use crate::job::Order;
 use crate::trace::{Face, Footprint, Tile};
@@ -41,7 +42,6 @@ pub(super) struct Frustum {
     centre: [f32; 2],
     /// Last column and row.
     last: [f32; 2],
-    block_edge: u32,
     order: Order,
     /// [`Footprint::reach`].
     reach: f32,
@@ -58,7 +58,7 @@ pub(super) struct Seen {
 type Boxes = [f32; WIDTH];
 
 impl Frustum {
-    pub fn new(origin: DVec3, tile: &Tile, block_edge: u32, order: Order, footprint: Footprint) -> Self {
+    pub fn new(origin: DVec3, tile: &Tile, order: Order, footprint: Footprint) -> Self {
         let half = f64::from(tile.face_size) / 2.0;
         Self {
             axes: FaceAxes::new(tile.face),
@@ -66,7 +66,6 @@ impl Frustum {
             scale: half as f32,
             centre: [(half - f64::from(tile.x)) as f32, (half - f64::from(tile.y)) as f32],
             last: [(tile.width - 1) as f32, (tile.height - 1) as f32],
-            block_edge,
             order,
             reach: footprint.reach(),
         }
@@ -93,7 +92,7 @@ impl Frustum {
         let mut blocks = [0; WIDTH];
         for k in 0..WIDTH {
             if seen[k] & (columns[0][k] <= columns[1][k]) & (rows[0][k] <= rows[1][k]) {
-                let block = |texel: f32| texel as u32 / self.block_edge;
+                let block = |texel: f32| texel as u32 / BLOCK_EDGE;
                 let ends = |texels: &[Boxes; 2]| [block(texels[0][k]), block(texels[1][k])];
                 blocks[k] = block_mask(ends(&columns), ends(&rows));
             }

@@ -41,6 +41,9 @@ use crate::scene::Scene;
 /// Quads along an edge of a block. The blocks of a tile, 8 x 8, are bits of a `u64` where the tree is descended.
 const QUADS_PER_BLOCK: usize = 2;
 
+/// Texels along an edge of a block.
+const BLOCK_EDGE: u32 = QUADS_PER_BLOCK as u32 * QUAD;
+
 /// Traces whole tiles of a probe's cube through the tree.
 pub struct BeamTracer<'a> {
     /// What is traced, in the order that [`Bvh::build`] left it in.
@@ -114,7 +117,7 @@ impl BeamTracer<'_> {
         let corners = (0..QUADS_PER_ROW * QUADS_PER_ROW).map(|i| [i % QUADS_PER_ROW, i / QUADS_PER_ROW]);
         let corners = corners.map(|corner| corner.map(|quad| quad as u32 * QUAD));
         quads.extend(corners.map(|[x, y]| Quad::new(tile, x, y, self.settings.t_near)));
-        let mut walk = Walk::new(self, origin, tile, QUADS_PER_BLOCK as u32 * QUAD, walk);
+        let mut walk = Walk::new(self, origin, tile, walk);
         let mut shader = Shader::new(self, origin, tile, quads, shader);
         loop {
             let bound = walk.gather(simd, shader.live_blocks());

@@ -14,6 +14,7 @@
 use glam::DVec3;
 use pulp::Simd;
 
+use super::BLOCK_EDGE;
 use super::candidate::Candidate;
 use super::frustum::{FaceAxes, block_mask};
 use super::image::{image_bounds, set_forms, through, unit_across};
@@ -37,7 +38,6 @@ const CONE_SLACK: f64 = 1e-3;
 pub(super) struct Projection {
     pub origin: DVec3,
     tile: Tile,
-    block_edge: u32,
     order: Order,
     footprint: Footprint,
     axes: FaceAxes,
@@ -68,7 +68,7 @@ struct ProjectedLanes {
 }
 
 impl Projection {
-    pub fn new(origin: DVec3, tile: &Tile, block_edge: u32, order: Order, footprint: Footprint) -> Self {
+    pub fn new(origin: DVec3, tile: &Tile, order: Order, footprint: Footprint) -> Self {
         let texel = 2.0 / f64::from(tile.face_size);
         let corner = [f64::from(tile.x) * texel - 1.0, f64::from(tile.y) * texel - 1.0];
         let edges = [f64::from(tile.width), f64::from(tile.height)];
@@ -89,7 +89,7 @@ impl Projection {
         });
         let axes = FaceAxes::new(tile.face);
         let batch = Batch::default();
-        Self { origin, tile: *tile, block_edge, order, footprint, axes, corner, centre, texel, batch, lanes }
+        Self { origin, tile: *tile, order, footprint, axes, corner, centre, texel, batch, lanes }
     }
 
     /// Adds Gaussian `index` to the batch; true when that fills it.
@@ -268,7 +268,7 @@ impl Projection {
         if left > right || top > bottom {
             return None;
         }
-        let block = |texel: i32| texel as u32 / self.block_edge;
+        let block = |texel: i32| texel as u32 / BLOCK_EDGE;
         let blocks = block_mask([block(left), block(right)], [block(top), block(bottom)]);
         Some(View { columns: [left as i16, right as i16], rows: [top as i16, bottom as i16], blocks })
     }

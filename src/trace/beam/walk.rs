@@ -71,13 +71,7 @@ enum Waiting {
 }
 
 impl<'a> Walk<'a> {
-    pub fn new(
-        tracer: &'a BeamTracer<'a>,
-        origin: DVec3,
-        tile: &Tile,
-        block_edge: u32,
-        buffers: &'a mut WalkBuffers,
-    ) -> Self {
+    pub fn new(tracer: &'a BeamTracer<'a>, origin: DVec3, tile: &Tile, buffers: &'a mut WalkBuffers) -> Self {
         let TraceSettings { order, footprint, .. } = tracer.settings;
         for list in [&mut buffers.later, &mut buffers.waited] {
             list.clear();
@@ -89,8 +83,8 @@ impl<'a> Walk<'a> {
         buffers.chunk.clear();
         Self {
             tracer,
-            frustum: Frustum::new(origin, tile, block_edge, order, footprint),
-            projection: Projection::new(origin, tile, block_edge, order, footprint),
+            frustum: Frustum::new(origin, tile, order, footprint),
+            projection: Projection::new(origin, tile, order, footprint),
             window: 0.0,
             complete: 0.0,
             buffers,
