@@ -4,7 +4,7 @@
 
 mod paint;
 mod plan;
-mod random;
+pub(crate) mod random;
 
 use std::f64::consts::TAU;
 

@@ -159,10 +159,11 @@ fn reached<S: Simd>(simd: S, candidate: &Candidate, quad_row: usize) -> u32 {
 
 #[cfg(test)]
 mod tests {
-    use glam::{DQuat, DVec3, Vec3};
+    use glam::DVec3;
     use pulp::WithSimd;
 
     use super::*;
+    use crate::generate::random::Random;
     use crate::scene::Splats;
     use crate::trace::beam::project::{LOG2_ALPHA_MIN, Projection};
     use crate::trace::{Face, Footprint, Level};
@@ -192,22 +193,14 @@ mod tests {
 
     #[test]
     fn a_cone_reaches_every_quad_with_a_texel_that_responds_and_few_others() {
-        let mut random = 7u64;
-        let mut uniform = || {
-            random = random.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-            (random >> 11) as f64 / (1u64 << 53) as f64
-        };
+        let mut random = Random::new(7, 0);
         let mut splats = Splats::default();
         for _ in 0..400 {
-            let rotation = DQuat::from_xyzw(uniform() - 0.5, uniform() - 0.5, uniform() - 0.5, uniform()).normalize();
-            let mut deviation = || 0.001 * 1000f64.powf(uniform());
-            splats
-                .unit_from_world
-                .push(Splats::unit_from_world(rotation, DVec3::new(deviation(), deviation(), deviation())));
-            let distance = 0.2 * 50f64.powf(uniform());
-            let mean = DVec3::new(1.0, 0.5 * uniform() - 0.25, 0.5 * uniform() - 0.25) * distance;
-            splats.means.push(Vec3::new(mean.x as f32, mean.y as f32, mean.z as f32));
-            splats.opacities.push(0.02 + 0.97 * uniform() as f32);
+            let deviations = DVec3::from_array(std::array::from_fn(|_| random.log_range(0.001, 1.0)));
+            splats.unit_from_world.push(Splats::unit_from_world(random.rotation(), deviations));
+            let [right, up] = [random.range(-0.25, 0.25), random.range(-0.25, 0.25)];
+            splats.means.push((DVec3::new(1.0, right, up) * random.log_range(0.2, 10.0)).as_vec3());
+            splats.opacities.push(random.range(0.02, 0.99) as f32);
         }
         let tile = Tile { face: Face::PosX, face_size: 256, x: 96, y: 96, width: 64, height: 64 };
         for level in Level::available() {

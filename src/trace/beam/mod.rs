@@ -2,8 +2,8 @@
 //!
 //! A tile's frustum descends the tree in windows of the sort key, nearest first ([`frustum`], [`walk`]). What begins in a
 //! window is projected once per tile ([`project`]), dealt to the quads of texels that its cone reaches ([`deal`]), and
-//! evaluated ([`shade`], [`evaluate`]) and blended there in SIMD lanes, in exact order per ray ([`quad`]). Quads whose rays have all ended
-//! take no part in the descent any more: what stands behind a wall is never projected.
+//! evaluated ([`shade`], [`evaluate`]) and blended there in SIMD lanes, in exact order per ray ([`quad`]). Quads whose rays
+//! have all ended take no part in the descent any more: what stands behind a wall is never projected.
 //
 // Tried: blocks of 8 x 8 texels with one order for all (half as many entries again, as rays end later than in quads);
 // letting entries wait until their least key is certain to be next (a quarter of the corrections, but keeping the queue cost
@@ -119,10 +119,12 @@ impl BeamTracer<'_> {
         quads.extend(corners.map(|[x, y]| Quad::new(tile, x, y, self.settings.t_near)));
         let mut walk = Walk::new(self, origin, tile, walk);
         let mut shader = Shader::new(self, origin, tile, quads, shader);
+        let mut live = shader.live_blocks();
         loop {
-            let bound = walk.gather(simd, shader.live_blocks());
+            let bound = walk.gather(simd, live);
             shader.shade_chunk(simd, quads, &walk.buffers.chunk, bound);
-            if bound == f32::INFINITY || shader.live_blocks() == 0 {
+            live = shader.live_blocks();
+            if bound == f32::INFINITY || live == 0 {
                 let mut tally = walk.tally;
                 tally += shader.tally;
                 return tally;

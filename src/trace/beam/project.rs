@@ -30,9 +30,10 @@ const TEXEL_SLACK: f64 = 1e-3;
 /// Lower bounds round down by this much when they become f32: the forms they are made from carry a few roundings.
 const KEY_SLACK: f64 = 2e-6;
 
-/// Of a cone's width: its slopes are multiplied by up to 64 texels, its constants not at all, and either carries a few
-/// roundings of 6e-8 in f32.
-const CONE_SLACK: f64 = 1e-3;
+/// Of a cone's slopes and of its constants, by which its width grows: either carries a few roundings of 6e-8 in f32, and
+/// slopes are multiplied by up to 64 texels.
+const SLOPE_SLACK: f64 = 1e-3;
+const CONSTANT_SLACK: f64 = 1e-6;
 
 /// A probe's view through one tile; Gaussians pass through it in batches.
 pub(super) struct Projection {
@@ -296,8 +297,9 @@ fn set_cone<S: Simd>(simd: S, v: usize, lanes: &mut ProjectedLanes, reach: S::f6
         simd.add_f64s(simd.abs_f64s(lanes.u[0].get::<S>(v)), simd.abs_f64s(lanes.s[0].get::<S>(v))),
         simd.abs_f64s(h[0]),
     );
-    let half_quad = simd.splat_f64s(0.5 * f64::from(QUAD - 1) * (1.0 + CONE_SLACK));
-    let slack = simd.mul_add_e_f64s(slopes, half_quad, simd.mul_f64s(constants, simd.splat_f64s(1e-3 * CONE_SLACK)));
+    let half_quad = simd.splat_f64s(0.5 * f64::from(QUAD - 1) * (1.0 + SLOPE_SLACK));
+    let slack = simd.mul_add_e_f64s(slopes, half_quad, simd.mul_f64s(constants, simd.splat_f64s(CONSTANT_SLACK)));
+    // Wider than any form, and with a square that f32 holds.
     let widest = [simd.splat_f64s(1e15), simd.splat_f64s(0.0), simd.splat_f64s(0.0)];
     h[0] = simd.add_f64s(h[0], slack);
     for ((form, cone), wide) in lanes.cone.iter_mut().zip(h).zip(widest) {

@@ -100,6 +100,7 @@ impl Quad {
             desk: None,
             state: if inside(0) { State::Live } else { State::Done },
         };
+        // The length of [`Self::direction`], which is the same on every face, for all lanes at once.
         let texel = 2.0 / f64::from(tile.face_size);
         for lane in 0..LANES {
             let right = (f64::from(tile.x) + f64::from(quad.x.0[lane])) * texel - 1.0;
@@ -159,6 +160,12 @@ impl Quad {
         takes
     }
 
+    /// Whether nothing counts any more when every key still to come is at least `bound`.
+    #[inline(always)]
+    pub fn ends<S: Simd>(&self, simd: S, bound: f32) -> bool {
+        bound == f32::INFINITY || !self.takes(simd, bound)
+    }
+
     /// Lets the entries from `first` on arrive: finds the transmittance before each, dims what it precedes, and tells where
     /// rays now end.
     #[inline(always)]
@@ -214,7 +221,7 @@ impl Quad {
     /// ends the quad, when nothing that may still arrive counts.
     #[inline(always)]
     pub fn settle<S: Simd>(&mut self, simd: S, desk: &mut Desk, bound: f32, cutoff: f32, lane_colours: &[[Lanes; 3]]) {
-        let ends = bound == f32::INFINITY || !self.takes(simd, bound);
+        let ends = self.ends(simd, bound);
         let least = simd.splat_f32s(if ends { f32::INFINITY } else { bound });
         for entry in desk.entries() {
             let mut open = false;

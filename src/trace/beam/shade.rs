@@ -95,7 +95,7 @@ impl<'a> Shader<'a> {
                     list[length] = candidate;
                     length += usize::from(candidate.reaches(k));
                 }
-                if length > 0 || bound == f32::INFINITY || !quad.takes(simd, bound) {
+                if length > 0 || quad.ends(simd, bound) {
                     self.shade(simd, quad, chunk, &list[..length], bound);
                 }
                 self.live[row] &= !(u32::from(quad.state != State::Live) << column);
@@ -113,9 +113,17 @@ impl<'a> Shader<'a> {
         let mut desk = quad.take_desk(&mut self.buffers.desks);
         let mut full = desk.len() + SETTLE_EVERY;
         let mut rest = list;
-        while !rest.is_empty() {
-            if !quad.takes(simd, rest[0].key_low) {
-                break;
+        loop {
+            let (next, last) = match rest.first() {
+                Some(listed) => (listed.key_low.min(bound), !quad.takes(simd, listed.key_low)),
+                None => (bound, true),
+            };
+            if last || desk.len() >= full {
+                quad.settle(simd, &mut desk, next, cutoff, &self.buffers.lane_colours);
+                if last || quad.state != State::Live {
+                    break;
+                }
+                full = desk.len() * 2 + SETTLE_EVERY;
             }
             let first = desk.len();
             let gaussians =
@@ -129,18 +137,6 @@ impl<'a> Shader<'a> {
             desk.keep(made);
             quad.arrive(simd, desk.entries(), first, cutoff);
             rest = after;
-            if desk.len() >= full {
-                let next = rest.first().map_or(bound, |listed| listed.key_low.min(bound));
-                quad.settle(simd, &mut desk, next, cutoff, &self.buffers.lane_colours);
-                if quad.state != State::Live {
-                    break;
-                }
-                full = desk.len() * 2 + SETTLE_EVERY;
-            }
-        }
-        if quad.state == State::Live {
-            let next = rest.first().map_or(bound, |listed| listed.key_low.min(bound));
-            quad.settle(simd, &mut desk, next, cutoff, &self.buffers.lane_colours);
         }
         quad.return_desk(desk, &mut self.buffers.desks);
     }
@@ -237,9 +233,7 @@ impl<'a> Shader<'a> {
         }
         let place = self.buffers.lane_colours.len() as u32;
         self.buffers.lane_colours.push(colours);
-        entry.colour = match entry.colour {
-            Colour::Linear(_) | Colour::LinearLanes(_) => Colour::LinearLanes(place),
-            Colour::Splat(_) | Colour::SplatLanes(_) => Colour::SplatLanes(place),
-        };
+        let linear = matches!(entry.colour, Colour::Linear(_));
+        entry.colour = if linear { Colour::LinearLanes(place) } else { Colour::SplatLanes(place) };
     }
 }

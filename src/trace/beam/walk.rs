@@ -73,9 +73,8 @@ enum Waiting {
 impl<'a> Walk<'a> {
     pub fn new(tracer: &'a BeamTracer<'a>, origin: DVec3, tile: &Tile, buffers: &'a mut WalkBuffers) -> Self {
         let TraceSettings { order, footprint, .. } = tracer.settings;
-        for list in [&mut buffers.later, &mut buffers.waited] {
-            list.clear();
-        }
+        buffers.later.clear();
+        buffers.waited.clear();
         buffers.open.clear();
         buffers.open.extend((!tracer.bvh.nodes.is_empty()).then_some(0));
         buffers.projected.clear();

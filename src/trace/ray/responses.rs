@@ -132,6 +132,7 @@ mod tests {
     use pulp::WithSimd;
 
     use super::*;
+    use crate::generate::random::Random;
     use crate::scene::splats::ALPHA_MIN;
     use crate::trace::{Level, gaussian};
 
@@ -149,11 +150,8 @@ mod tests {
     /// Gaussians from round to a million times longer than thick, 0.1 to 30 m away, and rays that pass them closely.
     #[test]
     fn every_level_computes_the_definition_to_1e_minus_13() {
-        let mut random = 1u64;
-        let mut uniform = || {
-            random = random.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-            (random >> 11) as f64 / (1u64 << 53) as f64
-        };
+        let mut random = Random::new(1, 0);
+        let mut uniform = || random.unit();
         for _ in 0..500 {
             let mut splats = Splats::default();
             let distance = 0.1 * 300f64.powf(uniform());
