@@ -70,8 +70,8 @@ impl Batch {
         self.filled == BATCH
     }
 
-    pub fn is_empty(&self) -> bool {
-        self.filled == 0
+    pub fn len(&self) -> usize {
+        self.filled
     }
 
     /// How many Gaussians the batch holds. It counts as empty from here on; its lanes stay until the next [`Self::add`].

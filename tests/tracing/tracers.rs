@@ -10,8 +10,8 @@ use splatprobe::shade::UnlitSurfaces;
 use splatprobe::trace::gaussian::response;
 use splatprobe::trace::ray::RayScratch;
 use splatprobe::trace::{
-    BeamTracer, Counters, Face, Level, Radiance, Ray, RayTracer, ReferenceTracer, Surfaces, Tile, TileTracer,
-    TraceSettings,
+    BeamTracer, Counters, Face, Footprint, Level, Radiance, Ray, RayTracer, ReferenceTracer, Surfaces, Tile,
+    TileTracer, TraceSettings,
 };
 
 /// Largest difference of two results over colour in display space, coverage, and mean distance relative to itself.
@@ -82,6 +82,36 @@ fn ray_equals_reference_without_cut_off_in_every_order_and_colour_direction() {
                 let settings = TraceSettings { order, sh_direction, t_cutoff: 0.0, ..TraceSettings::default() };
                 let seen = compare(&scene, &bvh, &surfaces, settings, origin, 400);
                 assert!(seen.rms() <= 2e-5 && seen.max <= 1e-3, "{settings:?} {origin}: {} {}", seen.rms(), seen.max);
+            }
+        }
+    }
+}
+
+/// Faces of 45 texels have packets that are cut by a tile's edge, and some whose directions change sign on an axis.
+#[test]
+fn each_ray_of_a_packet_gathers_what_it_gathers_alone_to_the_last_bit() {
+    let mut scene = Scene { splats: cloud(4000, [0.01, 0.4], 3, 1), ..Scene::default() };
+    add_random_triangles(&mut scene, 60, 2);
+    let bvh = Bvh::build(&mut scene);
+    let surfaces = PatternedSurfaces(&scene);
+    let widened = Footprint { sigma_per_metre: 0.02, keeps_energy: true };
+    for order in [Order::RayHitDistance, Order::CameraDistance] {
+        for (footprint, t_cutoff) in [(Footprint::default(), 0.0), (Footprint::default(), 0.01), (widened, 0.01)] {
+            let settings = TraceSettings { order, t_cutoff, footprint, ..TraceSettings::default() };
+            let tracer = RayTracer { scene: &scene, bvh: &bvh, surfaces: &surfaces, settings };
+            for face in Face::ALL {
+                let (tile, origin) =
+                    (Tile { face, face_size: 45, x: 0, y: 0, width: 45, height: 45 }, DVec3::splat(0.3));
+                let mut texels = vec![Radiance::default(); tile.len()];
+                tracer.trace_tile(origin, &tile, &mut texels);
+                let mut scratch = RayScratch::default();
+                for (i, (texel, direction)) in texels.iter().zip(tile.directions()).enumerate() {
+                    assert_eq!(
+                        *texel,
+                        tracer.trace(&Ray { origin, direction }, &mut scratch),
+                        "{settings:?} {face:?} {i}"
+                    );
+                }
             }
         }
     }

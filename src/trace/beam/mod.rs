@@ -33,8 +33,8 @@ use self::shade::{Shader, ShaderBuffers};
 use self::walk::{Walk, WalkBuffers};
 use super::counters::{Counters, Tally};
 use super::level::Level;
-use super::ray::RayScratch;
-use super::{Radiance, Ray, RayTracer, Surfaces, Tile, TileTracer, TraceSettings};
+use super::ray::{PACKET_EDGE, RayScratch};
+use super::{Radiance, RayTracer, Surfaces, Tile, TileTracer, TraceSettings};
 use crate::bvh::Bvh;
 use crate::scene::Scene;
 
@@ -43,6 +43,9 @@ const QUADS_PER_BLOCK: usize = 2;
 
 /// Texels along an edge of a block.
 const BLOCK_EDGE: u32 = QUADS_PER_BLOCK as u32 * QUAD;
+
+// A quad that overflows goes to the ray tracer as a packet.
+const _: () = assert!(PACKET_EDGE == QUAD);
 
 /// Traces whole tiles of a probe's cube through the tree.
 pub struct BeamTracer<'a> {
@@ -139,22 +142,23 @@ impl BeamTracer<'_> {
     fn collect(&self, origin: DVec3, tile: &Tile, quads: &[Quad], texels: &mut [Radiance]) -> u64 {
         let mut fallback_rays = 0;
         let exact = RayTracer { scene: self.scene, bvh: self.bvh, surfaces: self.surfaces, settings: self.settings };
-        let mut scratch = None;
+        let mut scratch: Option<RayScratch> = None;
         for (i, quad) in quads.iter().enumerate() {
             let [left, top] = [i % QUADS_PER_ROW, i / QUADS_PER_ROW].map(|quad| quad as u32 * QUAD);
+            if left >= tile.width || top >= tile.height {
+                continue;
+            }
+            if quad.state == State::Overflowed {
+                fallback_rays += u64::from(QUAD.min(tile.width - left) * QUAD.min(tile.height - top));
+                exact.trace_square(origin, tile, [left, top], scratch.get_or_insert_default(), texels);
+                continue;
+            }
             for lane in 0..LANES {
                 let [x, y] = texel_of_lane(lane);
                 let (x, y) = (left + x, top + y);
-                if x >= tile.width || y >= tile.height {
-                    continue;
+                if x < tile.width && y < tile.height {
+                    texels[(y * tile.width + x) as usize] = quad.radiance(lane);
                 }
-                texels[(y * tile.width + x) as usize] = if quad.state == State::Overflowed {
-                    fallback_rays += 1;
-                    let ray = Ray { origin, direction: tile.direction(x, y) };
-                    exact.trace(&ray, scratch.get_or_insert_with(RayScratch::default))
-                } else {
-                    quad.radiance(lane)
-                };
             }
         }
         fallback_rays

@@ -102,7 +102,7 @@ impl Projection {
     /// Projects the batch and empties it; [`Self::candidate`] then gives the first `n` returned.
     #[inline(always)]
     pub fn project<S: Simd>(&mut self, simd: S) -> usize {
-        if self.batch.is_empty() {
+        if self.batch.len() == 0 {
             return 0;
         }
         if !self.footprint.is_none() {

@@ -1,4 +1,4 @@
-//! Responses of Gaussians along one ray, eight side by side in f64 lanes.
+//! Responses of Gaussians along rays of one origin, eight side by side in f64 lanes.
 //!
 //! Which Gaussians share a batch is of no matter: each lane computes what [`gaussian::response`](crate::trace::gaussian::response)
 //! defines. f64 because thin Gaussians (1e-5 m seen from 10 m) lose up to 0.2 standard deviations in f32.
@@ -9,19 +9,21 @@ use pulp::Simd;
 use crate::scene::Splats;
 use crate::scene::splats::ALPHA_MAX;
 use crate::trace::Footprint;
-use crate::trace::batch::{BATCH, Batch, Lanes, cross, dot};
+use crate::trace::batch::{BATCH, Batch, Lanes, Vector3, cross, dot};
 use crate::trace::gaussian::Response;
 
 /// A batch of Gaussians and what it responds.
 pub(super) struct Responses {
     batch: Batch,
+    /// `M (mu - o)`: the model's g, negated, since it looks from the mean to the origin.
+    g: [Lanes; 3],
     distance: Lanes,
     alpha: Lanes,
 }
 
 impl Default for Responses {
     fn default() -> Self {
-        Self { batch: Batch::default(), distance: Lanes::ZERO, alpha: Lanes::ZERO }
+        Self { batch: Batch::default(), g: [Lanes::ZERO; 3], distance: Lanes::ZERO, alpha: Lanes::ZERO }
     }
 }
 
@@ -40,36 +42,61 @@ impl Responses {
         self.batch.add(splats, index, origin)
     }
 
-    /// Computes the responses of all lanes and empties the batch; [`Self::lane`] then gives the first `n` returned.
+    /// Computes what all rays share: call it once the batch is filled.
     #[inline(always)]
-    pub fn evaluate<S: Simd>(&mut self, simd: S, direction: DVec3, footprint: Footprint) -> usize {
-        if self.batch.is_empty() {
-            return 0;
-        }
+    pub fn prepare<S: Simd>(&mut self, simd: S, footprint: Footprint) {
         if !footprint.is_none() {
             footprint.widen(simd, &mut self.batch);
         }
-        let d = [simd.splat_f64s(direction.x), simd.splat_f64s(direction.y), simd.splat_f64s(direction.z)];
         for v in 0..BATCH / S::F64_LANES {
             let [mx, my, mz] = &self.batch.mean_from_origin;
             let mean = [mx.get::<S>(v), my.get::<S>(v), mz.get::<S>(v)];
-            // The model's g is minus this one: it looks from the mean to the origin.
-            let mut g = [simd.splat_f64s(0.0); 3];
+            for row in 0..3 {
+                let g = dot(simd, self.row::<S>(row, v), mean);
+                self.g[row].set::<S>(v, g);
+            }
+        }
+    }
+
+    /// Row of `M` of vector `v`.
+    #[inline(always)]
+    fn row<S: Simd>(&self, row: usize, v: usize) -> Vector3<S> {
+        let m = &self.batch.unit_from_world;
+        [m[row].get::<S>(v), m[3 + row].get::<S>(v), m[6 + row].get::<S>(v)]
+    }
+
+    /// Computes the responses of all lanes along `direction`, for [`Self::lane`]; false if none contributes, and then they
+    /// are not to be looked at.
+    #[inline(always)]
+    pub fn evaluate<S: Simd>(&mut self, simd: S, direction: DVec3) -> bool {
+        let d = [simd.splat_f64s(direction.x), simd.splat_f64s(direction.y), simd.splat_f64s(direction.z)];
+        let end = simd.splat_f64s(M2_MAX);
+        let mut contributes = false;
+        for v in 0..BATCH / S::F64_LANES {
+            let g = [self.g[0].get::<S>(v), self.g[1].get::<S>(v), self.g[2].get::<S>(v)];
             let mut w = g;
             for row in 0..3 {
-                let m = &self.batch.unit_from_world;
-                let m_row = [m[row].get::<S>(v), m[3 + row].get::<S>(v), m[6 + row].get::<S>(v)];
-                g[row] = dot(simd, m_row, mean);
-                w[row] = dot(simd, m_row, d);
+                w[row] = dot(simd, self.row::<S>(row, v), d);
             }
             let g_cross_w = cross(simd, g, w);
             let inverse = simd.div_f64s(simd.splat_f64s(1.0), dot(simd, w, w));
             let m2 = simd.mul_f64s(dot(simd, g_cross_w, g_cross_w), inverse);
+            if simd.first_true_m64s(simd.less_than_f64s(m2, end)) == S::F64_LANES {
+                self.alpha.set::<S>(v, simd.splat_f64s(0.0));
+                continue;
+            }
+            contributes = true;
             let alpha = simd.mul_f64s(self.batch.opacity.get::<S>(v), exp_of_half_negated(simd, m2));
             self.alpha.set::<S>(v, simd.min_f64s(alpha, simd.splat_f64s(ALPHA_MAX)));
             self.distance.set::<S>(v, simd.mul_f64s(dot(simd, g, w), inverse));
         }
-        self.batch.take()
+        contributes
+    }
+
+    /// How many Gaussians the batch holds.
+    #[inline(always)]
+    pub fn len(&self) -> usize {
+        self.batch.len()
     }
 
     /// Empties the batch.
@@ -78,7 +105,7 @@ impl Responses {
         self.batch.take();
     }
 
-    /// The response in `lane`, valid between [`Self::evaluate`] and the next [`Self::add`].
+    /// The response in `lane` along the direction that was evaluated last.
     #[inline(always)]
     pub fn lane(&self, lane: usize) -> LaneResponse {
         let [x, y, z] = &self.batch.mean_from_origin;
@@ -143,7 +170,10 @@ mod tests {
 
         #[inline(always)]
         fn with_simd<S: Simd>(self, simd: S) -> usize {
-            self.0.evaluate(simd, self.1, self.2)
+            let count = self.0.len();
+            self.0.prepare(simd, self.2);
+            self.0.evaluate(simd, self.1);
+            count
         }
     }
 

@@ -1,6 +1,6 @@
-//! One ray against the eight boxes of a node.
+//! Rays of one origin against the eight boxes of a node.
 
-use glam::Vec3;
+use glam::DVec3;
 
 use crate::bvh::{Viewpoint, WIDTH, WideNode};
 use crate::job::Order;
@@ -9,35 +9,52 @@ use crate::trace::{Footprint, Ray};
 /// Slab distances in f32 carry a few roundings of relative size 6e-8 each; this covers them with room to spare.
 const SLAB_SLACK: f32 = 1e-6;
 
-/// A ray prepared for testing boxes: eight at a time, in f32, conservatively.
+/// Rays of one origin prepared for testing boxes: eight at a time, in f32, conservatively.
 pub(super) struct Slabs {
     viewpoint: Viewpoint,
-    inverse: Vec3,
+    axes: [Axis; 3],
     order: Order,
     /// [`Footprint::reach`].
     reach: f32,
 }
 
-/// The children of a node that a ray meets.
+/// The rays' directions along one axis.
+struct Axis {
+    /// Inverses of the least and the greatest component.
+    inverse: [f32; 2],
+    /// Whether some rays go one way and some the other.
+    straddles: bool,
+}
+
+impl Axis {
+    fn new(components: impl Iterator<Item = f64> + Clone) -> Self {
+        let least = components.clone().fold(f64::INFINITY, f64::min);
+        let greatest = components.fold(f64::NEG_INFINITY, f64::max);
+        // A component of 1e-20 is as good as 0: over 1e15 m, the end of all boxes, it moves 1e-5 m.
+        let inverse =
+            [least, greatest].map(|d| 1.0 / if d.abs() < 1e-20 { 1e-20f32.copysign(d as f32) } else { d as f32 });
+        Self { inverse, straddles: inverse[0] < 0.0 && inverse[1] > 0.0 }
+    }
+}
+
+/// The children of a node that the rays may meet.
 pub(super) struct Met {
     /// For each child, a lower bound on the sort keys inside.
     pub keys: [f32; WIDTH],
-    /// Bit by bit, the children that the ray meets and that begin inside the window.
+    /// Bit by bit, the children that a ray may meet and that begin inside the window.
     pub now: u8,
     /// Those that begin behind it.
     pub later: u8,
 }
 
 impl Slabs {
-    pub fn new(ray: &Ray, order: Order, footprint: Footprint) -> Self {
-        // A component of 1e-20 is as good as 0: over 1e15 m, the end of all boxes, it moves 1e-5 m.
-        let inverse = |d: f64| 1.0 / if d.abs() < 1e-20 { 1e-20f32.copysign(d as f32) } else { d as f32 };
-        let inverse = Vec3::new(inverse(ray.direction.x), inverse(ray.direction.y), inverse(ray.direction.z));
-        let viewpoint = Viewpoint::new(ray.origin);
-        Self { viewpoint, inverse, order, reach: footprint.reach() }
+    pub fn new(rays: &[Ray], order: Order, footprint: Footprint) -> Self {
+        let axes = std::array::from_fn(|axis| Axis::new(rays.iter().map(move |ray| ray.direction[axis])));
+        let viewpoint = Viewpoint::new(rays.first().map_or(DVec3::ZERO, |ray| ray.origin));
+        Self { viewpoint, axes, order, reach: footprint.reach() }
     }
 
-    /// Which of a node's children the ray meets.
+    /// Which of a node's children some ray may meet: those whose boxes the rays' directions reach along each axis.
     #[inline(always)]
     pub fn meet(&self, node: &WideNode, window: f32) -> Met {
         let grown;
@@ -50,21 +67,36 @@ impl Slabs {
         let mut enter = [0.0f32; WIDTH];
         let mut exit = [f32::INFINITY; WIDTH];
         for axis in 0..3 {
-            let (low, high, inverse) = (self.viewpoint.low[axis], self.viewpoint.high[axis], self.inverse[axis]);
+            let (low, high) = (self.viewpoint.low[axis], self.viewpoint.high[axis]);
+            let Axis { inverse: [first, second], straddles } = self.axes[axis];
             let (mut to_min, mut to_max) = ([0.0f32; WIDTH], [0.0f32; WIDTH]);
             for (distance, min) in to_min.iter_mut().zip(&reached.min[axis]) {
-                *distance = (min - high) * inverse;
+                *distance = min - high;
             }
             for (distance, max) in to_max.iter_mut().zip(&reached.max[axis]) {
-                *distance = (max - low) * inverse;
+                *distance = max - low;
+            }
+            if straddles {
+                // A box on one side is reached soonest by the ray that goes there the fastest; none is ever left.
+                for k in 0..WIDTH {
+                    enter[k] = larger(enter[k], larger(to_min[k] * second, to_max[k] * first));
+                }
+                continue;
+            }
+            let (mut near, mut far) = ([0.0f32; WIDTH], [0.0f32; WIDTH]);
+            for k in 0..WIDTH {
+                near[k] = smaller(to_min[k] * first, to_max[k] * first);
+                far[k] = larger(to_min[k] * first, to_max[k] * first);
+            }
+            if first != second {
+                for k in 0..WIDTH {
+                    near[k] = smaller(near[k], smaller(to_min[k] * second, to_max[k] * second));
+                    far[k] = larger(far[k], larger(to_min[k] * second, to_max[k] * second));
+                }
             }
             for k in 0..WIDTH {
-                let near = if to_min[k] < to_max[k] { to_min[k] } else { to_max[k] };
-                enter[k] = if near > enter[k] { near } else { enter[k] };
-            }
-            for k in 0..WIDTH {
-                let far = if to_min[k] < to_max[k] { to_max[k] } else { to_min[k] };
-                exit[k] = if far < exit[k] { far } else { exit[k] };
+                enter[k] = larger(enter[k], near[k]);
+                exit[k] = smaller(exit[k], far[k]);
             }
         }
         let enter = enter.map(|distance| distance * (1.0 - SLAB_SLACK));
@@ -82,6 +114,17 @@ impl Slabs {
         let (hits, begun) = (present & !sign_bits(inside), sign_bits(behind));
         Met { keys, now: hits & begun, later: hits & !begun }
     }
+}
+
+/// As one instruction: `f32::min` asks for NaN, which the first operand is not.
+#[inline(always)]
+fn smaller(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
+#[inline(always)]
+fn larger(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
 }
 
 /// Bit by bit, which values are negative.

@@ -30,7 +30,7 @@ impl RayTracer<'_> {
         scratch: &mut RayScratch,
         alpha: &mut dyn FnMut(&SurfaceHit) -> f32,
     ) -> f32 {
-        let slabs = Slabs::new(ray, self.settings.order, self.settings.footprint);
+        let slabs = Slabs::new(std::slice::from_ref(ray), self.settings.order, self.settings.footprint);
         let cutoff = f64::from(self.settings.t_cutoff);
         let window = (limit as f32).next_up();
         let mut transmittance = 1.0;
@@ -69,17 +69,22 @@ impl RayTracer<'_> {
     #[inline(always)]
     fn batch_transmittance<S: Simd>(&self, simd: S, ray: &Ray, limit: f64, scratch: &mut RayScratch) -> f64 {
         let near = f64::from(self.settings.t_near);
+        let responses = &mut scratch.responses;
         let mut transmittance = 1.0;
-        for lane in 0..scratch.responses.evaluate(simd, ray.direction, self.settings.footprint) {
-            let LaneResponse { response, mean_from_origin, .. } = scratch.responses.lane(lane);
-            let key = match self.settings.order {
-                Order::RayHitDistance => response.distance,
-                Order::CameraDistance => mean_from_origin.length(),
-            };
-            if response.contributes(near) && key < limit {
-                transmittance *= 1.0 - response.alpha;
+        responses.prepare(simd, self.settings.footprint);
+        if responses.evaluate(simd, ray.direction) {
+            for lane in 0..responses.len() {
+                let LaneResponse { response, mean_from_origin, .. } = responses.lane(lane);
+                let key = match self.settings.order {
+                    Order::RayHitDistance => response.distance,
+                    Order::CameraDistance => mean_from_origin.length(),
+                };
+                if response.contributes(near) && key < limit {
+                    transmittance *= 1.0 - response.alpha;
+                }
             }
         }
+        responses.clear();
         transmittance
     }
 }
