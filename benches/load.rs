@@ -82,8 +82,11 @@ fn write_all(folder: &Path, arguments: &Arguments) -> Vec<PathBuf> {
     drop(scene);
     let variant = Variant { chunk_colours: true, strangers: false };
     files.push(write("compressed.ply", compressed_ply::file(&known, sh_degree, variant)));
-    files.extend((2..=4).map(|version| write(&format!("v{version}.spz"), spz::file(version, &known))));
     files.push(write("scene.splat", splat::file(&known)));
+    files.push(write("v3-8-bit.spz", spz::file(3, &known)));
+    let coarse: Vec<Known> = known.iter().cloned().map(with_coarse_harmonics).collect();
+    files.extend((2..=4).map(|version| write(&format!("v{version}.spz"), spz::file(version, &coarse))));
+    drop(coarse);
     if sh_degree <= 2 {
         let buckets: Vec<usize> = known.chunks(256).map(<[Known]>::len).collect();
         let sections = [ksplat::Section { gaussians: known, buckets, capacity: 256, degree: sh_degree }];
@@ -104,6 +107,21 @@ fn gaussian(splats: &Splats, i: usize) -> Known {
         opacity: splats.opacities[i].into(),
         sh: splats.sh_of(i).iter().map(|&value| value.into()).collect(),
     }
+}
+
+/// As SPZ's reference encoder stores it by default: coefficients of band 1 with 5 bits, of higher bands with 4.
+fn with_coarse_harmonics(mut gaussian: Known) -> Known {
+    let per_channel = gaussian.sh.len() / 3;
+    for (i, value) in gaussian.sh.iter_mut().enumerate() {
+        let step = match i % per_channel {
+            0 => continue,
+            1..4 => 8.0,
+            _ => 16.0,
+        };
+        let byte = ((*value * 128.0 + 128.0) / step).round() * step;
+        *value = (byte.min(255.0).max(0.0) - 128.0) / 128.0;
+    }
+    gaussian
 }
 
 /// As 3DGS trainers write it, without normals.

@@ -6,6 +6,7 @@ use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
 use super::CHUNK;
+use super::pages::untouched;
 use super::sanitize::{Dropped, FileGaussian, Selection, WorldFromFile, WorldGaussian};
 use super::source::SplatSource;
 use crate::error::Result;
@@ -56,11 +57,11 @@ impl Gathering {
     /// Room for `count` Gaussians of `sh_degree`.
     pub fn new(count: usize, sh_degree: u8) -> Self {
         let splats = Splats {
-            means: vec![Vec3::ZERO; count],
-            unit_from_world: vec![Mat3::ZERO; count],
-            opacities: vec![0.0; count],
+            means: untouched(count),
+            unit_from_world: untouched(count),
+            opacities: untouched(count),
             sh_degree,
-            sh: vec![0.0; count * 3 * coefficient_count(sh_degree)],
+            sh: untouched(count * 3 * coefficient_count(sh_degree)),
             linear: Vec::new(),
         };
         Self { splats, filled: 0 }

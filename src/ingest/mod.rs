@@ -7,6 +7,7 @@ mod gather;
 mod geometry;
 mod image;
 mod ksplat;
+mod pages;
 mod ply;
 mod report;
 mod requests;

@@ -147,25 +147,40 @@ impl Statistics {
             robust_bounds: robust_bounds?.translated(origin),
             opacity: opacity?,
             scale: scale?,
-            sh_energy: sh_energy(splats, range.step_by(stride)),
+            sh_energy: sh_energy(splats, range, stride),
         })
     }
 }
 
+/// Gaussians whose energies are summed one after another: the sums do not depend on how many threads share them.
+const ENERGY_CHUNK: usize = 4096;
+
 /// Mean over Gaussians and channels of each band's mean square over directions. The basis is orthonormal, so that the
 /// latter is the sum of the band's squared coefficients over the sphere's area.
-fn sh_energy(splats: &Splats, sampled: impl ExactSizeIterator<Item = usize>) -> Vec<f64> {
-    let divisor = 3.0 * sampled.len() as f64 * 4.0 * std::f64::consts::PI;
-    let mut energy = vec![0.0; usize::from(splats.sh_degree) + 1];
-    for i in sampled {
-        for channel in splats.sh_of(i).chunks_exact(coefficient_count(splats.sh_degree)) {
-            for (l, band) in energy.iter_mut().enumerate() {
-                let coefficients = &channel[l * l..(l + 1) * (l + 1)];
-                *band += coefficients.iter().map(|&c| f64::from(c) * f64::from(c)).sum::<f64>();
+fn sh_energy(splats: &Splats, range: Range<usize>, stride: usize) -> Vec<f64> {
+    let count = range.len().div_ceil(stride);
+    let bands = || vec![0.0; usize::from(splats.sh_degree) + 1];
+    let chunks = (0..count).into_par_iter().step_by(ENERGY_CHUNK);
+    let sums = chunks.map(|first| {
+        let mut energy = bands();
+        for i in first..count.min(first + ENERGY_CHUNK) {
+            let coefficients = splats.sh_of(range.start + i * stride);
+            for channel in coefficients.chunks_exact(coefficient_count(splats.sh_degree)) {
+                for (l, band) in energy.iter_mut().enumerate() {
+                    let coefficients = &channel[l * l..(l + 1) * (l + 1)];
+                    *band += coefficients.iter().map(|&c| f64::from(c) * f64::from(c)).sum::<f64>();
+                }
             }
         }
+        energy
+    });
+    let sums: Vec<Vec<f64>> = sums.collect();
+    let divisor = 3.0 * count as f64 * 4.0 * std::f64::consts::PI;
+    let mut energy = bands();
+    for sum in sums {
+        energy.iter_mut().zip(sum).for_each(|(energy, sum)| *energy += sum / divisor);
     }
-    energy.into_iter().map(|sum| sum / divisor).collect()
+    energy
 }
 
 #[cfg(test)]
@@ -179,7 +194,7 @@ mod tests {
         // Red of the first Gaussian: 3 Y_00 + 2 Y_10.
         (splats.sh[0], splats.sh[2]) = (3.0, 2.0);
         let area = 4.0 * std::f64::consts::PI;
-        assert_eq!(sh_energy(&splats, 0..2), [9.0 / (6.0 * area), 4.0 / (6.0 * area)]);
+        assert_eq!(sh_energy(&splats, 0..2, 1), [9.0 / (6.0 * area), 4.0 / (6.0 * area)]);
     }
 
     #[test]

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use ruzstd::decoding::FrameDecoder;
 
 use crate::error::{Error, Result};
+use crate::ingest::pages::untouched;
 use crate::job::Frame;
 use crate::scene::sh::{MAX_DEGREE, coefficient_count};
 
@@ -108,7 +109,7 @@ impl Header {
             let what = format!("{} points are {size} bytes, over {MAX_RATIO} times the file's {file_size}", self.count);
             return Err(Error::invalid(path, "header, byte 8", what));
         }
-        Ok(vec![0; size])
+        Ok(untouched(size))
     }
 
     /// The file's frame, given its extension records. Right, up, back unless one tells otherwise.
@@ -242,10 +243,11 @@ impl Container {
             tasks.push((bytes.len() - streams.len(), stream, target));
             (streams, room) = (next, others);
         }
-        let decoded: Vec<Result<()>> =
-            tasks.into_par_iter().map(|(start, stream, target)| decode_stream(path, start, stream, target)).collect();
-        // In file order, so that the first error in the file is the one that is told.
-        decoded.into_iter().collect::<Result<()>>()?;
+        // The last is by far the longest, and must not wait for others; but of errors, the first in the file is told.
+        tasks.reverse();
+        let decoded = tasks.into_par_iter().with_max_len(1);
+        let decoded = decoded.map(|(start, stream, target)| decode_stream(path, start, stream, target));
+        decoded.collect::<Vec<Result<()>>>().into_iter().rev().collect::<Result<()>>()?;
         Ok(Self { format: header.format(""), header, frame, payload })
     }
 }
