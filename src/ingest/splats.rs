@@ -1,6 +1,7 @@
 //! All splat inputs of a scene, opened, placed and gathered.
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use super::gather::Gathering;
 use super::report::{SplatReport, Statistics};
@@ -136,7 +137,9 @@ fn scene_origin(opened: &Opened<'_>) -> Result<DVec3> {
     let mut means = Vec::new();
     for (part, world_from_part) in opened.parts() {
         let chunks = part.source.count().div_ceil(CHUNK);
-        for chunk in (0..chunks).step_by(chunks.div_ceil(CHUNKS).max(1)) {
+        let sampled = (0..chunks).into_par_iter().step_by(chunks.div_ceil(CHUNKS).max(1));
+        let of_chunk = |chunk| {
+            let mut means = Vec::with_capacity(CHUNK);
             part.source.for_each_in_chunk(chunk, &mut |gaussian| {
                 let mean = world_from_part.position(gaussian.mean);
                 let asked_for = opened.selection.check(mean, gaussian.opacity).is_ok();
@@ -144,6 +147,11 @@ fn scene_origin(opened: &Opened<'_>) -> Result<DVec3> {
                     means.push(mean);
                 }
             })?;
+            Ok(means)
+        };
+        // In file order, so that the first error in the file is the one that is told.
+        for of_chunk in sampled.map(of_chunk).collect::<Vec<Result<_>>>() {
+            means.extend(of_chunk?);
         }
     }
     // Relative to one of them: f32 would merge far points.

@@ -74,10 +74,11 @@ impl Responses {
         let mut contributes = false;
         for v in 0..BATCH / S::F64_LANES {
             let g = [self.g[0].get::<S>(v), self.g[1].get::<S>(v), self.g[2].get::<S>(v)];
-            let mut w = g;
-            for row in 0..3 {
-                w[row] = dot(simd, self.row::<S>(row, v), d);
-            }
+            let w = [
+                dot(simd, self.row::<S>(0, v), d),
+                dot(simd, self.row::<S>(1, v), d),
+                dot(simd, self.row::<S>(2, v), d),
+            ];
             let g_cross_w = cross(simd, g, w);
             let inverse = simd.div_f64s(simd.splat_f64s(1.0), dot(simd, w, w));
             let m2 = simd.mul_f64s(dot(simd, g_cross_w, g_cross_w), inverse);
