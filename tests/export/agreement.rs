@@ -1,9 +1,11 @@
-//! What holds for every engine: T1 each direction within a texel, T3 marks un-mirrored, T4 the same light in all formats.
+//! What holds for every engine: T1 each direction within a texel, T3 marks un-mirrored, T4 the same light in all formats,
+//! T5 no seams between faces.
 
 use glam::{DVec3, Vec3};
 use splatprobe::export::ENGINES;
 
-use super::{Baked, assert_is_calibration, shown, sphere};
+use super::{Baked, SIZE, assert_is_calibration, factor, shown, sphere};
+use splatprobe::bake::Calibration;
 
 #[test]
 fn every_direction_is_where_each_engine_looks_for_it() {
@@ -13,6 +15,44 @@ fn every_direction_is_where_each_engine_looks_for_it() {
         for probe in ["probe_000", "probe_001"] {
             assert_is_calibration(engine.name, &*shown(engine.name, &out, probe));
         }
+    }
+}
+
+/// Points all along the twelve edges of the cube: just within one of the edge's faces, and just within the other.
+fn edges() -> impl Iterator<Item = [DVec3; 2]> {
+    const STEPS: usize = 64;
+    const INSIDE: f64 = 1.0 - 1e-9;
+    let signs = [[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]];
+    (0..3).flat_map(move |axis| signs.map(|signs| (axis, signs))).flat_map(|(axis, [a, b])| {
+        (0..STEPS).map(move |i| {
+            let along = (2 * i + 1) as f64 / STEPS as f64 - 1.0;
+            [[a * INSIDE, b], [a, b * INSIDE]].map(|[a, b]| {
+                let mut point = [along; 3];
+                (point[(axis + 1) % 3], point[(axis + 2) % 3]) = (a, b);
+                DVec3::from(point).normalize()
+            })
+        })
+    })
+}
+
+#[test]
+fn what_an_engine_finds_on_both_sides_of_an_edge_lies_within_a_texel() {
+    let baked = Baked::new();
+    let pure = |k: f64| [1.0, f64::from(Calibration::MARK)].into_iter().any(|level| (k / level - 1.0).abs() < 0.1);
+    for engine in ENGINES {
+        let shown = shown(engine.name, &baked.export(engine.name), "probe_000");
+        let (mut largest, mut compared) = (0.0_f64, 0);
+        for sides in edges() {
+            let found = sides.map(|direction| (shown(direction).as_dvec3(), factor(shown(direction), direction)));
+            if found.iter().all(|&(_, k)| pure(k)) {
+                let [a, b] = found.map(|(radiance, k)| radiance / k * 2.0 - 1.0);
+                largest = largest.max(a.angle_between(b));
+                compared += 1;
+            }
+        }
+        let texel = 2.0 / f64::from(SIZE);
+        println!("{}: {:.2} texels over {compared} of 768 pairs", engine.name, largest / texel);
+        assert!(compared > 600 && largest < texel, "{}: {largest} rad, a texel is {texel}", engine.name);
     }
 }
 
