@@ -23,7 +23,7 @@ use splatprobe::place::free_space::Space;
 use splatprobe::place::{AdaptiveSettings, Sight, Survey};
 use splatprobe::scene::{Scene, bounds::robust_bounds};
 use splatprobe::shade::UnlitSurfaces;
-use splatprobe::trace::{BeamTracer, Level, RayTracer, TraceSettings};
+use splatprobe::trace::{Level, RayTracer, TraceSettings};
 
 struct Arguments {
     gaussians: usize,
@@ -60,7 +60,7 @@ fn measure(name: &str, mut scene: Scene, arguments: &Arguments) {
     let bounds = robust_bounds(&scene.splats.means).expect("Gaussians").translated(scene.origin);
     let surfaces = UnlitSurfaces::new(&scene.meshes);
     let settings = TraceSettings::default();
-    let tiles = BeamTracer::new(&scene, &bvh, &surfaces, settings);
+    let tiles = RayTracer { scene: &scene, bvh: &bvh, surfaces: &surfaces, settings };
     let tracer = RayTracer { scene: &scene, bvh: &bvh, surfaces: &surfaces, settings };
     let sight = Sight { space: Space { tracer }, tiles: &tiles };
     let never = AtomicBool::new(false);

@@ -12,7 +12,7 @@ use splatprobe::scene::mesh::VertexAttributes;
 use splatprobe::scene::{Bounds, LinearRgb, Scene, SplatEncoding};
 use splatprobe::shade::UnlitSurfaces;
 use splatprobe::trace::ray::RayScratch;
-use splatprobe::trace::{BeamTracer, Ray, RayTracer, TraceSettings};
+use splatprobe::trace::{Ray, RayTracer, TraceSettings};
 
 use crate::common::Random;
 
@@ -83,7 +83,7 @@ fn with_sight<T>(rooms: &mut Rooms, test: impl FnOnce(&Sight) -> T) -> T {
     let bvh = Bvh::build(scene);
     let surfaces = UnlitSurfaces::new(&scene.meshes);
     let settings = TraceSettings::default();
-    let tiles = BeamTracer::new(scene, &bvh, &surfaces, settings);
+    let tiles = RayTracer { scene, bvh: &bvh, surfaces: &surfaces, settings };
     let tracer = RayTracer { scene, bvh: &bvh, surfaces: &surfaces, settings };
     test(&Sight { space: Space { tracer }, tiles: &tiles })
 }

@@ -31,6 +31,10 @@ use crate::scene::Scene;
 /// face sizes, so that no packet lies across the middle of a face, where directions change sign.
 pub(super) const PACKET_EDGE: u32 = 4;
 
+/// Faces with fewer texels along an edge are traced ray by ray: a packet would spread over tens of degrees. Measured on 1.5
+/// million Gaussians, packets take half more time at 16 texels and a tenth less at 32.
+const SMALLEST_FACE_OF_PACKETS: u32 = 32;
+
 const PACKET: usize = (PACKET_EDGE * PACKET_EDGE) as usize;
 
 /// Traces rays through the tree.
@@ -76,16 +80,17 @@ impl RayTracer<'_> {
         self.dispatch(rays, f64::INFINITY, scratch, fragment, radiances);
     }
 
-    /// Traces the packet of `tile`'s texels whose first is (x, y).
+    /// Traces the square of `edge` texels of `tile`, at most [`PACKET_EDGE`], whose first is (x, y), as a packet.
     pub(super) fn trace_square(
         &self,
         origin: DVec3,
         tile: &Tile,
         [x, y]: [u32; 2],
+        edge: u32,
         scratch: &mut RayScratch,
         texels: &mut [Radiance],
     ) {
-        let (rows, columns) = (y..tile.height.min(y + PACKET_EDGE), x..tile.width.min(x + PACKET_EDGE));
+        let (rows, columns) = (y..tile.height.min(y + edge), x..tile.width.min(x + edge));
         let mut rays = [Ray { origin, direction: DVec3::ZERO }; PACKET];
         let mut radiances = [Radiance::default(); PACKET];
         let mut count = 0;
@@ -130,9 +135,10 @@ impl RayTracer<'_> {
 impl TileTracer for RayTracer<'_> {
     fn trace_tile(&self, origin: DVec3, tile: &Tile, texels: &mut [Radiance]) {
         let mut scratch = RayScratch::default();
-        for y in (0..tile.height).step_by(PACKET_EDGE as usize) {
-            for x in (0..tile.width).step_by(PACKET_EDGE as usize) {
-                self.trace_square(origin, tile, [x, y], &mut scratch, texels);
+        let edge = if tile.face_size < SMALLEST_FACE_OF_PACKETS { 1 } else { PACKET_EDGE };
+        for y in (0..tile.height).step_by(edge as usize) {
+            for x in (0..tile.width).step_by(edge as usize) {
+                self.trace_square(origin, tile, [x, y], edge, &mut scratch, texels);
             }
         }
     }
