@@ -23,7 +23,7 @@ use splatprobe::place::free_space::Space;
 use splatprobe::place::{AdaptiveSettings, Sight, Survey};
 use splatprobe::scene::{Scene, bounds::robust_bounds};
 use splatprobe::shade::UnlitSurfaces;
-use splatprobe::trace::{Level, RayTracer, TraceSettings};
+use splatprobe::trace::{BeamTracer, Level, RayTracer, TraceSettings};
 
 struct Arguments {
     gaussians: usize,
@@ -59,9 +59,9 @@ fn measure(name: &str, mut scene: Scene, arguments: &Arguments) {
     let bvh = Bvh::build(&mut scene);
     let bounds = robust_bounds(&scene.splats.means).expect("Gaussians").translated(scene.origin);
     let surfaces = UnlitSurfaces::new(&scene.meshes);
-    let settings = TraceSettings::default();
-    let tiles = RayTracer { scene: &scene, bvh: &bvh, surfaces: &surfaces, settings };
-    let tracer = RayTracer { scene: &scene, bvh: &bvh, surfaces: &surfaces, settings };
+    let rules = TraceSettings::default();
+    let tiles = RayTracer { scene: &scene, bvh: &bvh, surfaces: &surfaces, settings: rules };
+    let tracer = RayTracer { scene: &scene, bvh: &bvh, surfaces: &surfaces, settings: rules };
     let sight = Sight { space: Space { tracer }, tiles: &tiles };
     let never = AtomicBool::new(false);
     let asked = |max_probes: usize| AdaptiveSettings {
@@ -116,7 +116,8 @@ fn measure(name: &str, mut scene: Scene, arguments: &Arguments) {
     if arguments.bake {
         let settings = BakeSettings { face_size: 256, samples: 1, distance: false, edge_texels: false };
         let start = Instant::now();
-        bake::bake_probes(&tiles, &scene, &placed.probes, &settings, &Silent, &never, |_, _, _| Ok(()))
+        let beams = BeamTracer::new(&scene, &bvh, &surfaces, rules);
+        bake::bake_probes(&beams, &scene, &placed.probes, &settings, &Silent, &never, |_, _, _| Ok(()))
             .expect("a bake");
         println!("the same probes baked at 256 pixels: {:.2} s", start.elapsed().as_secs_f64());
     }

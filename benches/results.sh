@@ -38,7 +38,7 @@ tracers() {
 }
 
 load() {
-    page load "Readers" "From files in the page cache to a scene, SH degree 3. Peak memory beside the scene's own."
+    page load "Readers" "From files in the page cache to a scene, SH degree 3. Peak memory with the file and the scene, and the scene's own."
     run cargo bench --bench load -- --gaussians 1000000 --runs 5
 }
 
@@ -67,6 +67,11 @@ surfaces() {
     run cargo bench --bench surface
 }
 
+skips() {
+    page skips "What a scene does not need" "Each skip beside the same work without it."
+    run cargo bench --bench skips -- --gaussians 500000
+}
+
 errors() {
     page errors "Run time against error" \
         "One setting at a time about the defaults, and the presets. A row on the front is beaten by none in both." \
@@ -92,7 +97,7 @@ peers() {
         --splatprobe target/release/splatprobe --out "$work/peers"
 }
 
-all="tracers load seams footprint prefilter placement surfaces errors peers"
+all="tracers load seams footprint prefilter placement surfaces skips errors peers"
 for subject in ${*:-$all}; do
     "$subject"
 done

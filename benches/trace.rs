@@ -125,7 +125,7 @@ fn measure(scene: &Scene, bvh: &Bvh, probe: DVec3, case: &str, arguments: &Argum
         let report = counters.report();
         println!(
             "  {:.0} nodes and {:.0} candidates a tile of {:.0} rays, {:.1} evaluations and {:.1} contributions a ray, \
-             {} Gaussians touched, {} rays traced singly",
+             {} Gaussians touched, {} rays that fell back",
             report.nodes_per_tile,
             report.candidates_per_tile,
             report.rays as f64 / report.tiles as f64,

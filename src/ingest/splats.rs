@@ -138,20 +138,20 @@ fn scene_origin(opened: &Opened<'_>) -> Result<DVec3> {
     for (part, world_from_part) in opened.parts() {
         let chunks = part.source.count().div_ceil(CHUNK);
         let sampled = (0..chunks).into_par_iter().step_by(chunks.div_ceil(CHUNKS).max(1));
-        let of_chunk = |chunk| {
-            let mut means = Vec::with_capacity(CHUNK);
+        let decode = |chunk| {
+            let mut found = Vec::with_capacity(CHUNK);
             part.source.for_each_in_chunk(chunk, &mut |gaussian| {
                 let mean = world_from_part.position(gaussian.mean);
                 let asked_for = opened.selection.check(mean, gaussian.opacity).is_ok();
                 if asked_for && mean.abs().max_element() <= sanitize::LIMIT {
-                    means.push(mean);
+                    found.push(mean);
                 }
             })?;
-            Ok(means)
+            Ok(found)
         };
         // In file order, so that the first error in the file is the one that is told.
-        for of_chunk in sampled.map(of_chunk).collect::<Vec<Result<_>>>() {
-            means.extend(of_chunk?);
+        for found in sampled.map(decode).collect::<Vec<Result<_>>>() {
+            means.extend(found?);
         }
     }
     // Relative to one of them: f32 would merge far points.

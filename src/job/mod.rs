@@ -76,7 +76,7 @@ pub enum Tracer {
     /// All rays of a tile at once through the tree. The default.
     #[default]
     Beam,
-    /// One ray at a time through the tree.
+    /// Packets of neighbouring rays through the tree, each ray with its own order, in f64.
     Ray,
     /// Every primitive for every ray in f64: the truth to measure others against. Slow.
     Reference,

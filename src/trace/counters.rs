@@ -115,6 +115,6 @@ pub struct CounterReport {
     pub gaussians: usize,
     /// Gaussians that any tile shaded. The colours of the others were never evaluated.
     pub gaussians_touched: usize,
-    /// Rays whose order could not be settled in their block and that were traced one by one.
+    /// Rays whose order could not be settled in their block and that went to the ray tracer.
     pub fallback_rays: u64,
 }

@@ -2,10 +2,10 @@
 //! T5 no seams between faces.
 
 use glam::{DVec3, Vec3};
+use splatprobe::bake::Calibration;
 use splatprobe::export::ENGINES;
 
 use super::{Baked, SIZE, assert_is_calibration, factor, shown, sphere};
-use splatprobe::bake::Calibration;
 
 #[test]
 fn every_direction_is_where_each_engine_looks_for_it() {
@@ -18,13 +18,15 @@ fn every_direction_is_where_each_engine_looks_for_it() {
     }
 }
 
-/// Points all along the twelve edges of the cube: just within one of the edge's faces, and just within the other.
-fn edges() -> impl Iterator<Item = [DVec3; 2]> {
-    const STEPS: usize = 64;
+/// Points compared along an edge of the cube.
+const STEPS: usize = 64;
+
+/// For each of the cube's twelve edges points all along it: just within one of its faces, and just within the other.
+fn edges() -> impl Iterator<Item = [[DVec3; 2]; STEPS]> {
     const INSIDE: f64 = 1.0 - 1e-9;
     let signs = [[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]];
-    (0..3).flat_map(move |axis| signs.map(|signs| (axis, signs))).flat_map(|(axis, [a, b])| {
-        (0..STEPS).map(move |i| {
+    (0..3).flat_map(move |axis| signs.map(|signs| (axis, signs))).map(|(axis, [a, b])| {
+        std::array::from_fn(|i| {
             let along = (2 * i + 1) as f64 / STEPS as f64 - 1.0;
             [[a * INSIDE, b], [a, b * INSIDE]].map(|[a, b]| {
                 let mut point = [along; 3];
@@ -36,23 +38,32 @@ fn edges() -> impl Iterator<Item = [DVec3; 2]> {
 }
 
 #[test]
-fn what_an_engine_finds_on_both_sides_of_an_edge_lies_within_a_texel() {
+fn what_an_engine_finds_on_both_sides_of_an_edge_lies_within_a_texel_of_a_faces_middle() {
     let baked = Baked::new();
     let pure = |k: f64| [1.0, f64::from(Calibration::MARK)].into_iter().any(|level| (k / level - 1.0).abs() < 0.1);
     for engine in ENGINES {
         let shown = shown(engine.name, &baked.export(engine.name), "probe_000");
-        let (mut largest, mut compared) = (0.0_f64, 0);
-        for sides in edges() {
-            let found = sides.map(|direction| (shown(direction).as_dvec3(), factor(shown(direction), direction)));
-            if found.iter().all(|&(_, k)| pure(k)) {
-                let [a, b] = found.map(|(radiance, k)| radiance / k * 2.0 - 1.0);
-                largest = largest.max(a.angle_between(b));
-                compared += 1;
+        let (mut largest, mut least_compared) = (0.0_f64, STEPS);
+        for edge in edges() {
+            let mut compared = 0;
+            for sides in edge {
+                let found = sides.map(|direction| (shown(direction).as_dvec3(), factor(shown(direction), direction)));
+                // Where a mark's border is mixed in on either side, colours do not tell a direction.
+                if found.iter().all(|&(_, k)| pure(k)) {
+                    let [a, b] = found.map(|(radiance, k)| radiance / k * 2.0 - 1.0);
+                    largest = largest.max(a.angle_between(b));
+                    compared += 1;
+                }
             }
+            least_compared = least_compared.min(compared);
         }
         let texel = 2.0 / f64::from(SIZE);
-        println!("{}: {:.2} texels over {compared} of 768 pairs", engine.name, largest / texel);
-        assert!(compared > 600 && largest < texel, "{}: {largest} rad, a texel is {texel}", engine.name);
+        println!(
+            "{}: {:.2} texels, {least_compared} of {STEPS} pairs or more on every edge",
+            engine.name,
+            largest / texel
+        );
+        assert!(least_compared > STEPS / 2 && largest < texel, "{}: {least_compared}, {largest} rad", engine.name);
     }
 }
 

@@ -199,7 +199,7 @@ impl Walk<'_> {
     fn segment(&self, ray: &Ray, mut random: f32, scratch: &mut RayScratch) -> Segment {
         let mut next = None;
         let mut total = 0.0;
-        let gathered = self.tracer.trace_with(ray, f64::INFINITY, scratch, &mut |hit, transmittance| {
+        let gathered = self.tracer.trace_with(ray, scratch, &mut |hit, transmittance| {
             let alpha = if self.tracer.surfaces.is_opaque(hit.triangle) {
                 1.0
             } else {

@@ -150,7 +150,7 @@ impl BeamTracer<'_> {
             }
             if quad.state == State::Overflowed {
                 fallback_rays += u64::from(QUAD.min(tile.width - left) * QUAD.min(tile.height - top));
-                exact.trace_square(origin, tile, [left, top], QUAD, scratch.get_or_insert_default(), texels);
+                exact.trace_square(origin, tile, [left, top], scratch.get_or_insert_default(), texels);
                 continue;
             }
             for lane in 0..LANES {

@@ -1,6 +1,6 @@
 //! A tile's way through the tree: what it may see, nearest first.
 //!
-//! In windows of the sort key, as a single ray goes: everything that begins inside the window is opened in any order, what
+//! In windows of the sort key, as rays go: everything that begins inside the window is opened in any order, what
 //! lies beyond waits. When a window is done, its end is a lower bound on the keys of all that is still to come.
 
 use glam::DVec3;

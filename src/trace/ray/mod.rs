@@ -4,13 +4,13 @@
 //! contributes is collected; what lies beyond waits. Once a window has been visited, nothing unseen can precede the
 //! contributions inside it: they are sorted and blended, and the next window begins. So the order is exact whatever the
 //! boxes look like, nothing is kept in order that is not blended, a ray ends within a window of where its transmittance
-//! falls below the cut-off, and memory is bounded by what the ray meets.
+//! falls below the cut-off, and memory is bounded by what its packet meets.
 //!
 //! Neighbouring rays from one origin go as a packet: the tree is walked, and Gaussians are gathered, once for all of them.
 //! Each ray evaluates, orders, and blends for itself, and so gathers the same as alone, to the last bit.
 //
 // Tried: two priority queues, one of nodes by their lower bound and one of contributions; as many nodes, and a seventh to
-// a half more time. The rays of a tile in squares of 8 instead of rows, for the caches' sake: no faster. Writing
+// a half more time. Writing
 // the masked lanes past the lists' ends instead of copying them there, and gathering batches in f32: no faster.
 
 mod responses;
@@ -56,41 +56,33 @@ type FragmentAt<'a> = &'a mut dyn FnMut(usize, &SurfaceHit, f64) -> Fragment;
 impl RayTracer<'_> {
     /// Everything along one ray until its transmittance falls below the cut-off.
     pub fn trace(&self, ray: &Ray, scratch: &mut RayScratch) -> Radiance {
-        self.trace_with(ray, f64::INFINITY, scratch, &mut |hit, _| self.surfaces.fragment(ray, hit))
+        self.trace_with(ray, scratch, &mut |hit, _| self.surfaces.fragment(ray, hit))
     }
 
-    /// Everything along one ray whose sort key is below `limit`, surfaces as `fragment` gives them. It is told the hit and
-    /// the transmittance before it, front to back, and only of hits that light reaches the ray's origin from.
+    /// As [`Self::trace`], surfaces as `fragment` gives them. It is told the hit and the transmittance before it, front to
+    /// back, and only of hits that light reaches the ray's origin from.
     pub fn trace_with(
         &self,
         ray: &Ray,
-        limit: f64,
         scratch: &mut RayScratch,
         fragment: &mut dyn FnMut(&SurfaceHit, f64) -> Fragment,
     ) -> Radiance {
         let mut radiance = [Radiance::default()];
         let fragment: FragmentAt = &mut |_, hit, transmittance| fragment(hit, transmittance);
-        self.dispatch(std::slice::from_ref(ray), limit, scratch, fragment, &mut radiance);
+        self.dispatch(std::slice::from_ref(ray), scratch, fragment, &mut radiance);
         radiance[0]
     }
 
-    /// As [`Self::trace`], for rays of one origin and much the same direction at once: `radiances[i]` is that of `rays[i]`.
-    pub fn trace_packet(&self, rays: &[Ray], scratch: &mut RayScratch, radiances: &mut [Radiance]) {
-        let fragment: FragmentAt = &mut |number, hit, _| self.surfaces.fragment(&rays[number], hit);
-        self.dispatch(rays, f64::INFINITY, scratch, fragment, radiances);
-    }
-
-    /// Traces the square of `edge` texels of `tile`, at most [`PACKET_EDGE`], whose first is (x, y), as a packet.
+    /// Traces the square of [`PACKET_EDGE`] texels of `tile` whose first is (x, y), as far as the tile reaches.
     pub(super) fn trace_square(
         &self,
         origin: DVec3,
         tile: &Tile,
         [x, y]: [u32; 2],
-        edge: u32,
         scratch: &mut RayScratch,
         texels: &mut [Radiance],
     ) {
-        let (rows, columns) = (y..tile.height.min(y + edge), x..tile.width.min(x + edge));
+        let (rows, columns) = (y..tile.height.min(y + PACKET_EDGE), x..tile.width.min(x + PACKET_EDGE));
         let mut rays = [Ray { origin, direction: DVec3::ZERO }; PACKET];
         let mut radiances = [Radiance::default(); PACKET];
         let mut count = 0;
@@ -100,25 +92,23 @@ impl RayTracer<'_> {
                 count += 1;
             }
         }
-        self.trace_packet(&rays[..count], scratch, &mut radiances);
+        let together = if tile.face_size < SMALLEST_FACE_OF_PACKETS { 1 } else { PACKET };
+        for (rays, radiances) in rays[..count].chunks(together).zip(radiances.chunks_mut(together)) {
+            let fragment: FragmentAt = &mut |number, hit, _| self.surfaces.fragment(&rays[number], hit);
+            self.dispatch(rays, scratch, fragment, radiances);
+        }
         for (y, row) in rows.zip(radiances.chunks(columns.len())) {
             let first = (y * tile.width + x) as usize;
             texels[first..first + row.len()].copy_from_slice(row);
         }
     }
 
-    fn dispatch(
-        &self,
-        rays: &[Ray],
-        limit: f64,
-        scratch: &mut RayScratch,
-        fragment: FragmentAt,
-        radiances: &mut [Radiance],
-    ) {
-        pulp::Arch::new().dispatch(TracePacket { tracer: self, rays, limit, scratch, fragment, radiances });
+    /// Everything along rays of one origin and much the same direction: `radiances[i]` is that of `rays[i]`.
+    fn dispatch(&self, rays: &[Ray], scratch: &mut RayScratch, fragment: FragmentAt, radiances: &mut [Radiance]) {
+        pulp::Arch::new().dispatch(TracePacket { tracer: self, rays, scratch, fragment, radiances });
     }
 
-    /// Where the ray meets the triangle, if it sees that side and before `horizon`.
+    /// Where the ray meets the triangle, if it sees that side and no farther than `horizon`.
     #[inline]
     pub fn hit(&self, ray: &Ray, index: u32, horizon: f64) -> Option<SurfaceHit> {
         let corners = self.scene.meshes.corners(index as usize).map(|corner| corner.as_dvec3() - ray.origin);
@@ -135,10 +125,9 @@ impl RayTracer<'_> {
 impl TileTracer for RayTracer<'_> {
     fn trace_tile(&self, origin: DVec3, tile: &Tile, texels: &mut [Radiance]) {
         let mut scratch = RayScratch::default();
-        let edge = if tile.face_size < SMALLEST_FACE_OF_PACKETS { 1 } else { PACKET_EDGE };
-        for y in (0..tile.height).step_by(edge as usize) {
-            for x in (0..tile.width).step_by(edge as usize) {
-                self.trace_square(origin, tile, [x, y], edge, &mut scratch, texels);
+        for y in (0..tile.height).step_by(PACKET_EDGE as usize) {
+            for x in (0..tile.width).step_by(PACKET_EDGE as usize) {
+                self.trace_square(origin, tile, [x, y], &mut scratch, texels);
             }
         }
     }
@@ -159,7 +148,6 @@ fn bits(mask: u8) -> impl Iterator<Item = usize> {
 struct TracePacket<'a, 'b> {
     tracer: &'a RayTracer<'b>,
     rays: &'a [Ray],
-    limit: f64,
     scratch: &'a mut RayScratch,
     fragment: FragmentAt<'a>,
     radiances: &'a mut [Radiance],
@@ -170,6 +158,6 @@ impl pulp::WithSimd for TracePacket<'_, '_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        self.tracer.walk(simd, self.rays, self.limit, self.scratch, self.fragment, self.radiances);
+        self.tracer.walk(simd, self.rays, self.scratch, self.fragment, self.radiances);
     }
 }

@@ -6,6 +6,7 @@
 use glam::DVec3;
 use pulp::Simd;
 
+use crate::job::Order;
 use crate::scene::Splats;
 use crate::scene::splats::ALPHA_MAX;
 use crate::trace::Footprint;
@@ -35,6 +36,17 @@ pub(super) struct LaneResponse {
     pub mean_from_origin: DVec3,
 }
 
+impl LaneResponse {
+    /// The sort key.
+    #[inline(always)]
+    pub fn key(&self, order: Order) -> f64 {
+        match order {
+            Order::RayHitDistance => self.response.distance,
+            Order::CameraDistance => self.mean_from_origin.length(),
+        }
+    }
+}
+
 impl Responses {
     /// Adds Gaussian `index`; true when that fills the batch.
     #[inline(always)]
@@ -42,7 +54,7 @@ impl Responses {
         self.batch.add(splats, index, origin)
     }
 
-    /// Computes what all rays share: call it once the batch is filled.
+    /// Computes what all rays share: call it when all have been added.
     #[inline(always)]
     pub fn prepare<S: Simd>(&mut self, simd: S, footprint: Footprint) {
         if !footprint.is_none() {
@@ -65,8 +77,8 @@ impl Responses {
         [m[row].get::<S>(v), m[3 + row].get::<S>(v), m[6 + row].get::<S>(v)]
     }
 
-    /// Computes the responses of all lanes along `direction`, for [`Self::lane`]; false if none contributes, and then they
-    /// are not to be looked at.
+    /// Computes the responses of all lanes along `direction`, for [`Self::lane`]; false if certainly none contributes, and then
+    /// they are not to be looked at.
     #[inline(always)]
     pub fn evaluate<S: Simd>(&mut self, simd: S, direction: DVec3) -> bool {
         let d = [simd.splat_f64s(direction.x), simd.splat_f64s(direction.y), simd.splat_f64s(direction.z)];

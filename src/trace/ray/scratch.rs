@@ -22,7 +22,7 @@ pub struct RayScratch {
     pub(super) responses: Responses,
     /// By ray of the packet.
     pub(super) gathered: Vec<Gathered>,
-    /// Where the last packet ended: a neighbour's end is likely near it.
+    /// Where the ray before ended: a neighbour's end is likely near it.
     pub(super) last_end: f32,
     origin: DVec3,
     /// Counts the origins, so that colours seen from earlier ones are known to be old.
@@ -83,14 +83,14 @@ pub(super) struct Gathered {
     /// What [`Met::surface`] refers to.
     pub surfaces: Vec<SurfaceHit>,
     pub blender: Blender,
-    /// The largest key that can be seen: below the ray's limit, and up to the nearest surface that is surely opaque.
+    /// Nothing with a larger key can be seen: that of the nearest surface that is surely opaque.
     pub horizon: f64,
     /// Whether nothing farther can change what the ray gathered.
     pub ended: bool,
 }
 
 /// A contribution along a ray.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy)]
 pub(super) struct Met {
     pub key: f64,
     /// Metres from the origin.
@@ -111,13 +111,13 @@ impl Met {
 }
 
 impl Gathered {
-    /// Empties the lists for a ray that sees no keys from `limit` on.
-    pub fn begin(&mut self, limit: f64) {
+    /// Empties the lists for the next ray.
+    pub fn begin(&mut self) {
         self.met.clear();
         self.waiting.clear();
         self.surfaces.clear();
         self.blender = Blender::default();
-        self.horizon = limit.next_down();
+        self.horizon = f64::INFINITY;
         self.ended = false;
     }
 
@@ -160,7 +160,7 @@ impl Gathered {
         }
         let sorted = &mut self.waiting[first..];
         sorted.sort_unstable();
-        // Keys that differ by less than 1e-6 of themselves share their upper halves.
+        // Keys with the same upper half differ by less than 1e-6 of themselves.
         for run in sorted.chunk_by_mut(|a, b| a >> 32 == b >> 32) {
             if run.len() > 1 {
                 let whole = |event: &u64| {

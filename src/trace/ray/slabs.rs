@@ -38,7 +38,7 @@ impl Axis {
 }
 
 /// The children of a node that the rays may meet.
-pub(super) struct Met {
+pub(super) struct Reached {
     /// For each child, a lower bound on the sort keys inside.
     pub keys: [f32; WIDTH],
     /// Bit by bit, the children that a ray may meet and that begin inside the window.
@@ -48,15 +48,15 @@ pub(super) struct Met {
 }
 
 impl Slabs {
-    pub fn new(rays: &[Ray], order: Order, footprint: Footprint) -> Self {
+    pub fn new(origin: DVec3, rays: &[Ray], order: Order, footprint: Footprint) -> Self {
         let axes = std::array::from_fn(|axis| Axis::new(rays.iter().map(move |ray| ray.direction[axis])));
-        let viewpoint = Viewpoint::new(rays.first().map_or(DVec3::ZERO, |ray| ray.origin));
+        let viewpoint = Viewpoint::new(origin);
         Self { viewpoint, axes, order, reach: footprint.reach() }
     }
 
     /// Which of a node's children some ray may meet: those whose boxes the rays' directions reach along each axis.
     #[inline(always)]
-    pub fn meet(&self, node: &WideNode, window: f32) -> Met {
+    pub fn meet(&self, node: &WideNode, window: f32) -> Reached {
         let grown;
         let reached = if self.reach > 0.0 {
             grown = self.viewpoint.grown(node, self.reach);
@@ -79,7 +79,7 @@ impl Slabs {
             if straddles {
                 // A box on one side is reached soonest by the ray that goes there the fastest; none is ever left.
                 for k in 0..WIDTH {
-                    enter[k] = larger(enter[k], larger(to_min[k] * second, to_max[k] * first));
+                    enter[k] = larger(larger(to_min[k] * second, to_max[k] * first), enter[k]);
                 }
                 continue;
             }
@@ -95,8 +95,8 @@ impl Slabs {
                 }
             }
             for k in 0..WIDTH {
-                enter[k] = larger(enter[k], near[k]);
-                exit[k] = smaller(exit[k], far[k]);
+                enter[k] = larger(near[k], enter[k]);
+                exit[k] = smaller(far[k], exit[k]);
             }
         }
         let enter = enter.map(|distance| distance * (1.0 - SLAB_SLACK));
@@ -112,11 +112,11 @@ impl Slabs {
         }
         let present = node.nodes | node.gaussians | node.triangles;
         let (hits, begun) = (present & !sign_bits(inside), sign_bits(behind));
-        Met { keys, now: hits & begun, later: hits & !begun }
+        Reached { keys, now: hits & begun, later: hits & !begun }
     }
 }
 
-/// As one instruction: `f32::min` asks for NaN, which the first operand is not.
+/// In one instruction, unlike `f32::min`: the second where the first is NaN.
 #[inline(always)]
 fn smaller(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }

@@ -2,10 +2,8 @@
 
 use pulp::Simd;
 
-use super::responses::LaneResponse;
 use super::slabs::Slabs;
 use super::{RayScratch, RayTracer, bits};
-use crate::job::Order;
 use crate::trace::{Ray, SurfaceHit};
 
 impl RayTracer<'_> {
@@ -30,7 +28,7 @@ impl RayTracer<'_> {
         scratch: &mut RayScratch,
         alpha: &mut dyn FnMut(&SurfaceHit) -> f32,
     ) -> f32 {
-        let slabs = Slabs::new(std::slice::from_ref(ray), self.settings.order, self.settings.footprint);
+        let slabs = Slabs::new(ray.origin, std::slice::from_ref(ray), self.settings.order, self.settings.footprint);
         let cutoff = f64::from(self.settings.t_cutoff);
         let window = (limit as f32).next_up();
         let mut transmittance = 1.0;
@@ -42,7 +40,7 @@ impl RayTracer<'_> {
             let node = &self.bvh.nodes[index as usize];
             let met = slabs.meet(node, window).now;
             for lane in bits(met & node.triangles) {
-                let Some(hit) = self.hit(ray, node.index[lane], limit) else { continue };
+                let Some(hit) = self.hit(ray, node.index[lane], limit.next_down()) else { continue };
                 if self.surfaces.is_opaque(hit.triangle) {
                     scratch.responses.clear();
                     return 0.0;
@@ -74,13 +72,9 @@ impl RayTracer<'_> {
         responses.prepare(simd, self.settings.footprint);
         if responses.evaluate(simd, ray.direction) {
             for lane in 0..responses.len() {
-                let LaneResponse { response, mean_from_origin, .. } = responses.lane(lane);
-                let key = match self.settings.order {
-                    Order::RayHitDistance => response.distance,
-                    Order::CameraDistance => mean_from_origin.length(),
-                };
-                if response.contributes(near) && key < limit {
-                    transmittance *= 1.0 - response.alpha;
+                let met = responses.lane(lane);
+                if met.response.contributes(near) && met.key(self.settings.order) < limit {
+                    transmittance *= 1.0 - met.response.alpha;
                 }
             }
         }

@@ -3,12 +3,11 @@
 use glam::DVec3;
 use pulp::Simd;
 
-use super::responses::LaneResponse;
 use super::scratch::{Gathered, Met, TRIANGLE_RANK};
 use super::slabs::Slabs;
 use super::{FragmentAt, RayScratch, RayTracer, bits};
 use crate::bvh::{Child, WIDTH};
-use crate::job::{Order, ShDirection};
+use crate::job::ShDirection;
 use crate::scene::sh;
 use crate::trace::batch::BATCH;
 use crate::trace::gaussian::Response;
@@ -22,25 +21,24 @@ const WINDOW_GROWTH: f32 = 1.12;
 const FIRST_WINDOW: f32 = 0.9;
 
 impl RayTracer<'_> {
-    /// Everything along each of `rays`, which share their origin, with sort keys below `limit`.
+    /// Everything along each of `rays`, which share their origin.
     #[inline(always)]
     pub(super) fn walk<S: Simd>(
         &self,
         simd: S,
         rays: &[Ray],
-        limit: f64,
         scratch: &mut RayScratch,
         fragment: FragmentAt,
         radiances: &mut [Radiance],
     ) {
         let Some(&Ray { origin, .. }) = rays.first() else { return };
-        let slabs = Slabs::new(rays, self.settings.order, self.settings.footprint);
+        let slabs = Slabs::new(origin, rays, self.settings.order, self.settings.footprint);
         scratch.begin(origin);
         let mut gathered = std::mem::take(&mut scratch.gathered);
         gathered.resize_with(gathered.len().max(rays.len()), Gathered::default);
         let own = &mut gathered[..rays.len()];
         for ray in &mut *own {
-            ray.begin(limit);
+            ray.begin();
         }
         let mut window = FIRST_WINDOW * scratch.last_end;
         if !self.bvh.nodes.is_empty() {
@@ -60,7 +58,7 @@ impl RayTracer<'_> {
                     scratch.later.push((met.keys[lane], node.child(lane)));
                 }
             }
-            self.meet_gaussians(simd, rays, limit, scratch, own);
+            self.meet_gaussians(simd, rays, scratch, own);
             let nearest = scratch.later.iter().fold(f32::INFINITY, |nearest, &(key, _)| nearest.min(key));
             let mut all_ended = true;
             for (i, (ray, gathered)) in rays.iter().zip(&mut *own).enumerate() {
@@ -145,14 +143,7 @@ impl RayTracer<'_> {
 
     /// Collects what the Gaussians met in this window contribute.
     #[inline(always)]
-    fn meet_gaussians<S: Simd>(
-        &self,
-        simd: S,
-        rays: &[Ray],
-        limit: f64,
-        scratch: &mut RayScratch,
-        gathered: &mut [Gathered],
-    ) {
+    fn meet_gaussians<S: Simd>(&self, simd: S, rays: &[Ray], scratch: &mut RayScratch, gathered: &mut [Gathered]) {
         let near = f64::from(self.settings.t_near);
         let RayScratch { gaussians, responses, .. } = scratch;
         for indices in gaussians.chunks(BATCH) {
@@ -167,15 +158,12 @@ impl RayTracer<'_> {
                 let mut met = [Met::NOTHING; BATCH];
                 let mut count = 0;
                 for lane in 0..indices.len() {
-                    let LaneResponse { index, response, mean_from_origin } = responses.lane(lane);
-                    let key = match self.settings.order {
-                        Order::RayHitDistance => response.distance,
-                        Order::CameraDistance => mean_from_origin.length(),
-                    };
+                    let met_by_lane = responses.lane(lane);
+                    let (key, Response { distance, alpha }) =
+                        (met_by_lane.key(self.settings.order), met_by_lane.response);
                     // Written always and kept by the count: whether one contributes cannot be predicted either.
-                    let Response { distance, alpha } = response;
-                    met[count] = Met { key, distance, alpha, rank: index, surface: 0 };
-                    count += usize::from(response.contributes(near) & (key < limit));
+                    met[count] = Met { key, distance, alpha, rank: met_by_lane.index, surface: 0 };
+                    count += usize::from(met_by_lane.response.contributes(near));
                 }
                 gathered.meet(&met, count);
             }

@@ -264,12 +264,15 @@ fn crowds() -> Vec<Case> {
         colour: Vec3::splat((i % 7) as f32 / 7.0),
         ..gaussian(DVec3::new(0.2, 0.1, -2.0), DVec3::splat(0.2), 0.05)
     });
-    let coincident = Case::new("3000 Gaussians that are the same but for colour", splats(coincident), 1e-4);
+    // Faces of 32 texels are the smallest whose rays go in packets.
+    let coincident =
+        Case { size: 32, ..Case::new("3000 Gaussians that are the same but for colour", splats(coincident), 1e-4) };
     let mut random = Random(14);
     let mean = DVec3::new(0.2, 0.1, -2.0);
     let concentric = (0..1000).map(|_| gaussian(mean, DVec3::splat(random.uniform(-7.0, 3.0).exp()), 0.3));
     let concentric =
-        Case::new("1000 concentric Gaussians of one colour", splats(concentric), 2e-5).from([DVec3::ZERO, mean * 0.9]);
+        Case { size: 32, ..Case::new("1000 concentric Gaussians of one colour", splats(concentric), 2e-5) };
+    let concentric = concentric.from([DVec3::ZERO, mean * 0.9]);
     vec![
         overlapping,
         queue,
