@@ -35,6 +35,7 @@ tracers() {
     run cargo bench --bench trace -- --gaussians 1500000 --sh 0 --cases beam-800,beam-256 --runs 3 --pixels 200
     run cargo bench --bench trace -- --gaussians 750000 --sh 3 --cases beam-800 --runs 3 --pixels 100
     run cargo bench --bench trace -- --gaussians 3000000 --sh 3 --cases beam-800 --runs 3 --pixels 100
+    run cargo bench --bench trace -- --gaussians 1000000 --sh 3 --cases ray-256 --runs 3 --pixels 1000
 }
 
 load() {
