@@ -192,9 +192,10 @@ mod tests {
 
     /// Gaussians from round to a million times longer than thick, 0.1 to 30 m away, and rays that pass them closely.
     #[test]
-    fn every_level_computes_the_definition_to_1e_minus_13() {
+    fn every_level_computes_distances_to_1e_minus_12_and_responses_to_1e_minus_9() {
         let mut random = Random::new(1, 0);
         let mut uniform = || random.unit();
+        let mut strong = 0;
         for _ in 0..500 {
             let mut splats = Splats::default();
             let distance = 0.1 * 300f64.powf(uniform());
@@ -224,11 +225,16 @@ mod tests {
                     let (m, mean) = (splats.unit_from_world[lane].as_dmat3(), splats.means[lane].as_dvec3() - origin);
                     let (m, opacity) = footprint.widened(&m, f64::from(splats.opacities[lane]), mean);
                     let exact = gaussian::response(&m, opacity, mean, direction);
+                    // What is too weak to contribute has no distance.
+                    if seen.alpha < ALPHA_MIN && exact.alpha < ALPHA_MIN {
+                        continue;
+                    }
+                    strong += 1;
                     assert!((seen.distance - exact.distance).abs() <= 1e-12 * exact.distance.abs().max(1.0));
-                    let weak = seen.alpha < ALPHA_MIN && exact.alpha < ALPHA_MIN;
-                    assert!(weak || (seen.alpha - exact.alpha).abs() < 1e-9, "{} {}", seen.alpha, exact.alpha);
+                    assert!((seen.alpha - exact.alpha).abs() < 1e-9, "{} {}", seen.alpha, exact.alpha);
                 }
             }
         }
+        assert!(strong > 1000, "{strong} of some thousands that contribute");
     }
 }
