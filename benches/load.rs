@@ -99,7 +99,6 @@ fn write_all(folder: &Path, arguments: &Arguments) -> Vec<PathBuf> {
     files.push(write("v3-8-bit.spz", spz::file(3, &known)));
     let coarse: Vec<Known> = known.iter().cloned().map(with_coarse_harmonics).collect();
     files.extend((2..=4).map(|version| write(&format!("v{version}.spz"), spz::file(version, &coarse))));
-    drop(coarse);
     if sh_degree <= 2 {
         let buckets: Vec<usize> = known.chunks(256).map(<[Known]>::len).collect();
         let sections = [ksplat::Section { gaussians: known, buckets, capacity: 256, degree: sh_degree }];

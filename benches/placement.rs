@@ -60,9 +60,8 @@ fn measure(name: &str, mut scene: Scene, arguments: &Arguments) {
     let bounds = robust_bounds(&scene.splats.means).expect("Gaussians").translated(scene.origin);
     let surfaces = UnlitSurfaces::new(&scene.meshes);
     let rules = TraceSettings::default();
-    let tiles = RayTracer { scene: &scene, bvh: &bvh, surfaces: &surfaces, settings: rules };
     let tracer = RayTracer { scene: &scene, bvh: &bvh, surfaces: &surfaces, settings: rules };
-    let sight = Sight { space: Space { tracer }, tiles: &tiles };
+    let sight = Sight { space: Space { tracer }, tiles: &tracer };
     let never = AtomicBool::new(false);
     let asked = |max_probes: usize| AdaptiveSettings {
         bounds,

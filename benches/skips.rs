@@ -90,14 +90,13 @@ fn build_and_bake(splats: Splats) -> f64 {
 
 /// One cubemap from the eye.
 fn bake_one(scene: &Scene, bvh: &Bvh, surfaces: &dyn Surfaces) {
-    bake_at(scene, bvh, surfaces, &[eye()]);
+    bake_at(&BeamTracer::new(scene, bvh, surfaces, TraceSettings::default()), &[eye()]);
 }
 
-fn bake_at(scene: &Scene, bvh: &Bvh, surfaces: &dyn Surfaces, positions: &[DVec3]) {
-    let tracer = BeamTracer::new(scene, bvh, surfaces, TraceSettings::default());
+fn bake_at(tracer: &BeamTracer, positions: &[DVec3]) {
     let settings = BakeSettings { face_size: 256, samples: 1, distance: false, edge_texels: false };
     let probes: Vec<Probe> = splatprobe::place::list(positions, None, 0.1).expect("a probe");
-    bake::bake_probes(&tracer, scene, &probes, &settings, &Silent, &AtomicBool::new(false), |_, _, _| Ok(()))
+    bake::bake_probes(tracer, tracer.scene, &probes, &settings, &Silent, &AtomicBool::new(false), |_, _, _| Ok(()))
         .expect("a bake");
 }
 
@@ -133,12 +132,8 @@ fn colours_of_untouched(splats: &Splats) {
     let bvh = Bvh::build(&mut scene);
     let counters = Counters::new(scene.splats.len());
     let surfaces = UnlitSurfaces::new(&scene.meshes);
-    let tracer =
-        BeamTracer { counters: Some(&counters), ..BeamTracer::new(&scene, &bvh, &surfaces, Default::default()) };
-    let settings = BakeSettings { face_size: 256, samples: 1, distance: false, edge_texels: false };
-    let probes = splatprobe::place::list(&[eye()], None, 0.1).expect("a probe");
-    bake::bake_probes(&tracer, &scene, &probes, &settings, &Silent, &AtomicBool::new(false), |_, _, _| Ok(()))
-        .expect("a bake");
+    let tracer = BeamTracer::new(&scene, &bvh, &surfaces, TraceSettings::default());
+    bake_at(&BeamTracer { counters: Some(&counters), ..tracer }, &[eye()]);
     let colours = |count: usize| {
         let splats = &scene.splats;
         time(|| {
@@ -265,8 +260,8 @@ fn redundant_probes(splats: &Splats) {
     let mut scene = scene_of(splats.clone());
     let bvh = Bvh::build(&mut scene);
     let surfaces = UnlitSurfaces::new(&scene.meshes);
-    let rays = || RayTracer { scene: &scene, bvh: &bvh, surfaces: &surfaces, settings: TraceSettings::default() };
-    let sight = Sight { space: Space { tracer: rays() }, tiles: &rays() };
+    let tracer = RayTracer { scene: &scene, bvh: &bvh, surfaces: &surfaces, settings: TraceSettings::default() };
+    let sight = Sight { space: Space { tracer }, tiles: &tracer };
     let bounds = robust_bounds(&scene.splats.means).expect("Gaussians").translated(scene.origin);
     let settings =
         AdaptiveSettings { bounds, levels: Vec::new(), error: 0.25, max_probes: usize::MAX, time: None, held_out: 0 };
@@ -276,7 +271,8 @@ fn redundant_probes(splats: &Splats) {
     let placed = survey.place(&sight, &settings, &never).expect("a placement");
     let placement = start.elapsed().as_secs_f64();
     let positions: Vec<DVec3> = placed.probes.iter().map(|probe| probe.position).take(8).collect();
-    let each = time(|| bake_at(&scene, &bvh, &surfaces, &positions)) / positions.len() as f64;
+    let beams = BeamTracer::new(&scene, &bvh, &surfaces, TraceSettings::default());
+    let each = time(|| bake_at(&beams, &positions)) / positions.len() as f64;
     let (kept, sites) = (placed.probes.len(), placed.record.sites);
     let measured =
         format!("{kept} probes of {sites} sites, predicted to 0.25, placement included; eight baked, scaled");

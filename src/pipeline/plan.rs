@@ -106,19 +106,11 @@ impl Plan {
         let unlit = UnlitSurfaces::new(&scene.meshes).for_rays_of(footprint::ray_angle(job.face_size * job.samples));
         // Probes stand where the scene itself changes; light on its meshes comes after.
         let rules = trace_settings(job, order, signal::FACE_SIZE);
-        let sight = Sight {
-            // What stands between two points does so whatever the order of blending.
-            space: Space {
-                tracer: RayTracer {
-                    scene,
-                    bvh,
-                    surfaces: &unlit,
-                    settings: TraceSettings { order: Order::RayHitDistance, ..rules },
-                },
-            },
-            // Of faces as small as these, rays are traced in a third of the beam's time.
-            tiles: &RayTracer { scene, bvh, surfaces: &unlit, settings: rules },
-        };
+        // Of faces as small as these, rays are traced in a third of the beam's time.
+        let tiles = RayTracer { scene, bvh, surfaces: &unlit, settings: rules };
+        // What stands between two points does so whatever the order of blending.
+        let between = TraceSettings { order: Order::RayHitDistance, ..rules };
+        let sight = Sight { space: Space { tracer: RayTracer { settings: between, ..tiles } }, tiles: &tiles };
         let placed = place_probes(&job.placement, report.robust_bounds(), &sight, cancel)?;
         let plan = Self {
             report: report.clone(),

@@ -140,6 +140,14 @@ fn factor(radiance: Vec3, direction: DVec3) -> f64 {
     radiance.as_dvec3().dot(code) / code.length_squared()
 }
 
+/// The direction that a coded radiance, seen along `direction`, stands for; `None` where a mark and what is beside it are
+/// mixed, and the mark's own texel has almost all to say of it.
+fn coded_direction(radiance: Vec3, direction: DVec3) -> Option<DVec3> {
+    let k = factor(radiance, direction);
+    let is_pure = [1.0, f64::from(Calibration::MARK)].into_iter().any(|pure| (k / pure - 1.0).abs() < 0.1);
+    is_pure.then(|| radiance.as_dvec3() / k * 2.0 - 1.0)
+}
+
 /// T1 and T3: `shown`, what the engine finds for a direction in the manifest's frame, is within a texel of that direction
 /// everywhere, and the marks, which are not symmetric, are where they are.
 fn assert_is_calibration(engine: &str, shown: &dyn Fn(DVec3) -> Vec3) {
@@ -150,10 +158,7 @@ fn assert_is_calibration(engine: &str, shown: &dyn Fn(DVec3) -> Vec3) {
     let (mut largest, mut clear, mut marks, mut mirrored, mut count) = (0.0_f64, 0, 0, 0, 0);
     for direction in sphere() {
         let radiance = shown(direction);
-        // Where a mark and what is beside it are mixed, the mark's own texel has almost all to say of the direction.
-        let k = factor(radiance, direction);
-        if [1.0, mark].into_iter().any(|pure| (k / pure - 1.0).abs() < 0.1) {
-            let found = radiance.as_dvec3() / k * 2.0 - 1.0;
+        if let Some(found) = coded_direction(radiance, direction) {
             largest = largest.max(found.angle_between(direction));
             clear += 1;
         }

@@ -83,9 +83,8 @@ fn with_sight<T>(rooms: &mut Rooms, test: impl FnOnce(&Sight) -> T) -> T {
     let bvh = Bvh::build(scene);
     let surfaces = UnlitSurfaces::new(&scene.meshes);
     let settings = TraceSettings::default();
-    let tiles = RayTracer { scene, bvh: &bvh, surfaces: &surfaces, settings };
     let tracer = RayTracer { scene, bvh: &bvh, surfaces: &surfaces, settings };
-    test(&Sight { space: Space { tracer }, tiles: &tiles })
+    test(&Sight { space: Space { tracer }, tiles: &tracer })
 }
 
 fn place(rooms: &mut Rooms, settings: &AdaptiveSettings) -> splatprobe::Result<Adaptive> {

@@ -10,8 +10,8 @@
 //! Each ray evaluates, orders, and blends for itself, and so gathers the same as alone, to the last bit.
 //
 // Tried: two priority queues, one of nodes by their lower bound and one of contributions; as many nodes, and a seventh to
-// a half more time. Writing
-// the masked lanes past the lists' ends instead of copying them there, and gathering batches in f32: no faster.
+// a half more time. Writing the masked lanes past the lists' ends instead of copying them there, and gathering batches in
+// f32: no faster.
 
 mod responses;
 mod scratch;
@@ -38,6 +38,7 @@ const SMALLEST_FACE_OF_PACKETS: u32 = 32;
 const PACKET: usize = (PACKET_EDGE * PACKET_EDGE) as usize;
 
 /// Traces rays through the tree.
+#[derive(Clone, Copy)]
 pub struct RayTracer<'a> {
     /// What is traced, in the order that [`Bvh::build`] left it in.
     pub scene: &'a Scene,

@@ -37,9 +37,7 @@ impl RayTracer<'_> {
         let mut gathered = std::mem::take(&mut scratch.gathered);
         gathered.resize_with(gathered.len().max(rays.len()), Gathered::default);
         let own = &mut gathered[..rays.len()];
-        for ray in &mut *own {
-            ray.begin();
-        }
+        own.iter_mut().for_each(Gathered::begin);
         let mut window = FIRST_WINDOW * scratch.last_end;
         if !self.bvh.nodes.is_empty() {
             scratch.open.push(0);
