@@ -4,7 +4,7 @@
 //! cargo bench --bench placement                               # the demo's two rooms, and a building
 //! cargo bench --bench placement -- --gaussians 1500000        # the building as dense as a capture
 //! cargo bench --bench placement -- --splats scene.ply
-//! cargo bench --bench placement -- --counts 16,64 --held-out 100 --bake
+//! cargo bench --bench placement -- --counts 16,64 --levels 0.7,1.9 --held-out 100 --bake
 //! ```
 //!
 //! Errors are relative root mean squares at `--held-out` random free positions: the mean of radiance prefiltered at roughness
@@ -29,6 +29,7 @@ struct Arguments {
     gaussians: usize,
     splats: Option<String>,
     counts: Vec<usize>,
+    levels: Vec<f64>,
     held_out: usize,
     bake: bool,
 }
@@ -65,7 +66,7 @@ fn measure(name: &str, mut scene: Scene, arguments: &Arguments) {
     let never = AtomicBool::new(false);
     let asked = |max_probes: usize| AdaptiveSettings {
         bounds,
-        levels: Vec::new(),
+        levels: arguments.levels.clone(),
         error: 0.0,
         max_probes,
         time: None,
@@ -123,8 +124,14 @@ fn measure(name: &str, mut scene: Scene, arguments: &Arguments) {
 }
 
 fn parse() -> Arguments {
-    let mut arguments =
-        Arguments { gaussians: 400_000, splats: None, counts: vec![8, 16, 32, 64, 128], held_out: 500, bake: false };
+    let mut arguments = Arguments {
+        gaussians: 400_000,
+        splats: None,
+        counts: vec![8, 16, 32, 64, 128],
+        levels: Vec::new(),
+        held_out: 500,
+        bake: false,
+    };
     let mut words = std::env::args().skip(1);
     while let Some(word) = words.next() {
         let mut value = || words.next().expect("a value after the flag");
@@ -132,6 +139,7 @@ fn parse() -> Arguments {
             "--gaussians" => arguments.gaussians = value().parse().expect("a number"),
             "--splats" => arguments.splats = Some(value()),
             "--counts" => arguments.counts = value().split(',').map(|count| count.parse().expect("a number")).collect(),
+            "--levels" => arguments.levels = value().split(',').map(|y| y.parse().expect("a height")).collect(),
             "--held-out" => arguments.held_out = value().parse().expect("a number"),
             "--bake" => arguments.bake = true,
             // What cargo adds.

@@ -18,7 +18,7 @@ pub use store::{CacheStatistics, Store};
 
 /// Raise it with every change that alters a pixel, a number or a file of any bake: results of other versions are then not
 /// taken from a cache any more.
-pub const KERNEL_VERSION: u32 = 4;
+pub const KERNEL_VERSION: u32 = 5;
 
 /// The hash of all that a result depends on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]

@@ -139,7 +139,7 @@ pub fn write_png(path: &Path, image: &RgbaImage) -> Result<()> {
 /// The bytes of a PNG.
 pub fn png_bytes(image: &RgbaImage) -> std::io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    let encoder = PngEncoder::new_with_quality(&mut bytes, CompressionType::Default, FilterType::Adaptive);
+    let encoder = PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive);
     image.write_with_encoder(encoder).map_err(|error| match error {
         ImageError::IoError(source) => source,
         other => std::io::Error::other(other),

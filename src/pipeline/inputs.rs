@@ -8,9 +8,11 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
+use bytemuck::cast_slice;
 use serde::{Deserialize, Serialize};
 
 use super::memory::Memory;
+use crate::bake::{Cubemap, ProbeStatistics};
 use crate::bvh::MESH_LANES;
 use crate::cache::{Bundle, Digest, Digests, Key};
 use crate::ingest::{self, SceneReport};
@@ -186,12 +188,9 @@ impl Content {
         Ok(())
     }
 
-    /// The key of the files of `probe`, baked as `job` says.
+    /// The key of `probe`, baked as `job` says.
     pub fn probe_key(&self, job: &Job, probe: &Probe) -> Key {
-        // Inputs are known by content, and where the other probes stand does not matter.
-        let look =
-            Job { splats: Vec::new(), meshes: Vec::new(), placement: Placement::default(), ..job.result_settings() };
-        Key::of("probe", &(self.scene, look, probe))
+        Key::of("probe", &(self.scene, look(job), probe))
     }
 
     /// The digest of an input that the job names.
@@ -203,4 +202,20 @@ impl Content {
     pub fn files(&self) -> impl Iterator<Item = &Path> {
         self.digests.iter().filter(|(_, digest)| digest.is_some()).map(|(path, _)| path.as_path())
     }
+}
+
+/// The key of the files that the light traced for `probe` becomes, whatever it was traced in.
+pub(super) fn files_key(job: &Job, probe: &Probe, cubemap: &Cubemap, statistics: &ProbeStatistics) -> Key {
+    let mut light = blake3::Hasher::new();
+    light.update(cast_slice(&cubemap.texels));
+    if let Some(distance) = &cubemap.distance {
+        light.update(cast_slice(distance));
+    }
+    Key::of("files", &(look(job), probe, statistics, light.finalize().as_bytes()))
+}
+
+/// What of `job` decides a probe's pixels and files, beside the scene: inputs are known by content, and where the other
+/// probes stand does not matter.
+fn look(job: &Job) -> Job {
+    Job { splats: Vec::new(), meshes: Vec::new(), placement: Placement::default(), ..job.result_settings() }
 }

@@ -95,9 +95,17 @@ impl<'a> Memory<'a> {
         }
     }
 
-    /// Keeps a finished probe: from now on an interrupted bake has something to go on from.
-    pub fn put_probe(&self, key: &Key, bundle: &Bundle) {
-        self.put(key, bundle);
+    /// The files of the probe with this key.
+    pub fn probe(&self, key: &Key) -> Option<Bundle> {
+        self.get(&self.get(key)?.get_json("files")?)
+    }
+
+    /// Remembers that the probe with this key has the files kept under `files`: from now on an interrupted bake has
+    /// something to go on from.
+    pub fn put_probe(&self, key: &Key, files: &Key) {
+        let mut bundle = Bundle::default();
+        bundle.add_json("files", files);
+        self.put(key, &bundle);
         if self.is_journal() {
             self.workspace.set_resumable(true);
         }

@@ -144,7 +144,7 @@ fn run(asked: &Job, job: &Job, progress: &dyn Progress, cancel: &AtomicBool) -> 
         deadline: job.time_budget.map(|seconds| begun + Duration::from_secs_f64(seconds)),
     };
     let chosen: Vec<usize> = (0..plan.probes.len()).filter(|&i| job.shard.is_none_or(|part| part.holds(i))).collect();
-    let is_known = |number: &usize| match memory.get(&tracing.key(&plan.probes[*number])) {
+    let is_known = |number: &usize| match memory.probe(&tracing.key(&plan.probes[*number])) {
         Some(bundle) => output.restore(*number, &bundle),
         None => Ok(false),
     };

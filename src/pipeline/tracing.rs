@@ -8,14 +8,14 @@ use std::time::Instant;
 use glam::DVec3;
 
 use super::ceiling;
-use super::inputs::Content;
+use super::inputs::{Content, files_key};
 use super::memory::{Memory, Parts, Site};
 use super::output::Output;
 use super::plan::{Loaded, Plan};
 use super::surfaces::JobSurfaces;
 use super::trace_settings;
 use crate::Result;
-use crate::bake::{self, BakeSettings, Calibration, Progress};
+use crate::bake::{self, BakeSettings, Calibration, Cubemap, ProbeStatistics, Progress};
 use crate::cache::{Digests, Key};
 use crate::job::{Job, OutputKind, Tracer};
 use crate::place::Probe;
@@ -101,11 +101,33 @@ impl Tracing<'_> {
         self.content.probe_key(self.job, probe)
     }
 
-    fn keep(&self, number: usize) -> Result<()> {
-        if let Some(bundle) = self.output.bundle(number)? {
-            self.memory.put_probe(&self.key(&self.plan.probes[number]), &bundle);
+    /// Keeps the files of the probe with this number under `files`.
+    fn keep(&self, number: usize, files: &Key) -> Result<()> {
+        if self.memory.store().is_some()
+            && let Some(bundle) = self.output.bundle(number)?
+        {
+            self.memory.put(files, &bundle);
+            self.memory.put_probe(&self.key(&self.plan.probes[number]), files);
         }
         Ok(())
+    }
+
+    /// Writes a probe's files, or takes those that the same light has become before, and keeps them.
+    fn write(&self, number: usize, cubemap: Cubemap, statistics: ProbeStatistics) -> Result<()> {
+        let Tracing { job, plan, memory, output, .. } = *self;
+        let probe = &plan.probes[number];
+        if memory.store().is_none() {
+            return output.write_probe(number, probe, cubemap, statistics);
+        }
+        let files = files_key(job, probe, &cubemap, &statistics);
+        if let Some(bundle) = memory.get(&files)
+            && output.restore(number, &bundle)?
+        {
+            memory.put_probe(&self.key(probe), &files);
+            return Ok(());
+        }
+        output.write_probe(number, probe, cubemap, statistics)?;
+        self.keep(number, &files)
     }
 }
 
@@ -130,9 +152,13 @@ impl Pass<'_> {
         self.trace(settings, noise_of, |number, traced, surface_noise| {
             let Tracing { plan, output, .. } = *self.tracing;
             let hidden_backs = self.hidden_backs(&plan.probes[number]);
-            let statistics = bake::ProbeStatistics { hidden_backs, surface_noise, ..traced.statistics(settings) };
-            output.write_probe(number, &plan.probes[number], traced.cubemap, statistics)?;
-            if is_all { self.tracing.keep(number) } else { Ok(()) }
+            let statistics = ProbeStatistics { hidden_backs, surface_noise, ..traced.statistics(settings) };
+            let cubemap = traced.cubemap;
+            if is_all {
+                self.tracing.write(number, cubemap, statistics)
+            } else {
+                output.write_probe(number, &plan.probes[number], cubemap, statistics)
+            }
         })
     }
 
@@ -148,8 +174,10 @@ impl Pass<'_> {
     fn envmap(&self, settings: &BakeSettings) -> Result<u64> {
         self.trace(settings, &|_| None, |number, traced, _| {
             let Tracing { plan, output, .. } = *self.tracing;
-            output.write_envmap(number, &plan.probes[number], traced.cubemap)?;
-            self.tracing.keep(number)
+            let probe = &plan.probes[number];
+            output.write_envmap(number, probe, traced.cubemap)?;
+            // Two cubemaps have become these files; they are known by what both depend on.
+            self.tracing.keep(number, &Key::of("files of both", &self.tracing.key(probe)))
         })
     }
 

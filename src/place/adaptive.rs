@@ -7,7 +7,7 @@
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -20,7 +20,7 @@ use super::search::{Budget, Candidate, Chosen, Search};
 use super::signal::Signal;
 use super::sites::Dropped;
 use super::survey::{Sight, Survey, trace_all};
-use super::triangulation::{Level, Share};
+use super::triangulation::{EDGE_ENDS, Level, Share};
 use super::{Probe, grid, influence, probe_id};
 use crate::error::Result;
 use crate::scene::Bounds;
@@ -82,7 +82,8 @@ pub struct PlacementRecord {
 pub struct Checks {
     /// Probes with opacity around them.
     pub probes_in_matter: usize,
-    /// Triangles that a wall parts: of three points in it, those that are free do not see each other.
+    /// Triangles that a wall parts and that blend across it all the same: of three points in it, those that are free do not
+    /// see each other.
     pub triangles_across_walls: usize,
     /// Held-out positions that no influence box holds.
     pub positions_without_influence: usize,
@@ -215,29 +216,22 @@ impl<'a> Placed<'a> {
         Self { probes: probes.collect(), estimated_errors, candidates, chosen: indices, record }
     }
 
-    /// Counts faults by tracing.
+    /// Looks for walls within triangles, which keep their corners apart from then on, and counts faults.
     fn check(&mut self, space: &Space) {
         let in_matter = |scratch: &mut RayScratch, probe: &Probe| usize::from(!space.is_free(probe.position, scratch));
         let checks = &mut self.record.checks;
         checks.probes_in_matter = self.probes.par_iter().map_init(RayScratch::default, in_matter).sum();
-        for level in &self.record.levels {
-            let crosses = |scratch: &mut RayScratch, triangle: &[u32; 3]| {
-                let corners = triangle.map(|vertex| level.vertices[vertex as usize].position);
-                let centre = (corners[0] + corners[1] + corners[2]) / 3.0;
-                // Half-way from the centre to the corners, which lie on walls.
-                let inner = corners.map(|corner| {
-                    let at = (corner + centre) / 2.0;
-                    DVec3::new(at.x, level.height.y, at.y)
-                });
-                let free = inner.map(|point| space.is_free(point, scratch));
-                let pairs = [(0, 1), (1, 2), (2, 0)].into_iter().filter(|&(a, b)| free[a] && free[b]);
-                let sights: Vec<bool> = pairs.map(|(a, b)| space.is_open(inner[a], inner[b], scratch)).collect();
-                let blocked = sights.iter().filter(|open| !**open).count();
-                // A wall parts two sides of three; a pole stands in one.
-                usize::from(blocked > 0 && blocked + 1 >= sights.len())
+        for level in &mut self.record.levels {
+            let height = level.height.y;
+            let parted = |scratch: &mut RayScratch, points: [DVec2; 3]| {
+                parted(points.map(|at| DVec3::new(at.x, height, at.y)), space, scratch)
             };
-            let crossing: usize = level.triangles.par_iter().map_init(RayScratch::default, crosses).sum();
-            checks.triangles_across_walls += crossing;
+            let parted: Vec<[bool; 3]> = (0..level.triangles.len())
+                .into_par_iter()
+                .map_init(RayScratch::default, |scratch, triangle| parted(scratch, level.inner_points(triangle)))
+                .collect();
+            level.block(&parted);
+            checks.triangles_across_walls += (0..parted.len()).filter(|&i| level.blends_across(i, parted[i])).count();
         }
     }
 
@@ -265,6 +259,17 @@ impl<'a> Placed<'a> {
         let probes = self.probes.iter().map(|probe| (probe.position, probe.proxy)).collect();
         Network { probes, levels: self.record.levels.clone() }
     }
+}
+
+/// Of three points in a triangle: between which of them a wall stands, by [`EDGE_ENDS`].
+fn parted(points: [DVec3; 3], space: &Space, scratch: &mut RayScratch) -> [bool; 3] {
+    let free = points.map(|point| space.is_free(point, scratch));
+    let sights = EDGE_ENDS.map(|[a, b]| (free[a] && free[b]).then(|| space.is_open(points[a], points[b], scratch)));
+    let seen = sights.iter().flatten().count();
+    let blocked = sights.map(|sight| sight == Some(false));
+    // A wall parts two sides of three; a pole stands in one.
+    let is_wall = blocked.iter().filter(|blocked| **blocked).count() + 1 >= seen;
+    blocked.map(|blocked| blocked && is_wall)
 }
 
 /// Signals of a regular grid, whose proxy boxes are fitted as those of adaptive probes are, and its linear weights.

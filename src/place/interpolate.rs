@@ -3,15 +3,15 @@
 //! 1. Levels: those whose storey the position is in, else those of the nearest storey; between two levels the share is
 //!    linear in height, beyond the outermost it is theirs.
 //! 2. The triangle that the position lies in, in the plan, gives the barycentric weights of its vertices; outside of all
-//!    triangles the nearest point of them counts. Of two corners joined by a blocked edge only the one with the greater
-//!    weight counts.
+//!    triangles the nearest point of them counts. From the heaviest corner down, of equal ones from the first, a corner
+//!    counts unless a blocked edge joins it to one that counts.
 //! 3. Every vertex is a blend of probes.
 //! 4. A probe is looked up in the direction from where it was taken to where the ray leaves its proxy box (Lagarde &
 //!    Zanuttini 2012, "Local image-based lighting with parallax-corrected cubemap").
 
 use glam::{DVec2, DVec3, Vec3};
 
-use super::triangulation::{Level, Share};
+use super::triangulation::{EDGE_ENDS, Level, Share};
 use crate::scene::{Bounds, LinearRgb};
 
 /// What a runtime needs to blend probes: the manifest's part without images.
@@ -111,6 +111,10 @@ impl Level {
         let mut nearest = (f64::INFINITY, 0, [1.0, 0.0, 0.0]);
         for (i, triangle) in self.triangles.iter().enumerate() {
             let corners = triangle.map(|vertex| self.vertices[vertex as usize].position);
+            let [low, high] = [DVec2::min, DVec2::max].map(|pick| pick(pick(corners[0], corners[1]), corners[2]));
+            if point.clamp(low, high).distance_squared(point) >= nearest.0 {
+                continue;
+            }
             let weights = nearest_weights(corners, point);
             let at = corners[0] * weights[0] + corners[1] * weights[1] + corners[2] * weights[2];
             let distance = at.distance_squared(point);
@@ -124,14 +128,37 @@ impl Level {
         (nearest.1, nearest.2)
     }
 
-    /// Weights without those that blocked edges take away: of its two ends the lesser.
+    /// Points of a triangle in the plan, half-way from its centre to its corners.
+    pub fn inner_points(&self, triangle: usize) -> [DVec2; 3] {
+        let corners = self.triangles[triangle].map(|vertex| self.vertices[vertex as usize].position);
+        let centre = (corners[0] + corners[1] + corners[2]) / 3.0;
+        corners.map(|corner| (corner + centre) / 2.0)
+    }
+
+    /// Whether one of a triangle's inner points takes something from a corner beyond a wall: between which of them one
+    /// stands, `parted` says, in the order of [`EDGE_ENDS`].
+    pub fn blends_across(&self, triangle: usize, parted: [bool; 3]) -> bool {
+        let sides = EDGE_ENDS.into_iter().zip(parted).filter(|(_, parted)| *parted);
+        sides.flat_map(|([a, b], _)| [(a, b), (b, a)]).any(|(here, beyond)| {
+            let mut weights = [1.0 / 6.0; 3];
+            weights[here] = 2.0 / 3.0;
+            self.unblocked(triangle, weights)[beyond] > 0.0
+        })
+    }
+
+    /// Weights of the corners that no blocked edge keeps from a heavier one that counts.
     fn unblocked(&self, triangle: usize, weights: [f64; 3]) -> [f64; 3] {
         let corners = self.triangles[triangle];
-        let mut kept = weights;
-        for [a, b] in [[0, 1], [1, 2], [2, 0]] {
+        let is_blocked = |a: usize, b: usize| {
             let edge = [corners[a].min(corners[b]), corners[a].max(corners[b])];
-            if self.blocked.binary_search(&edge).is_ok() {
-                kept[if weights[a] < weights[b] { a } else { b }] = 0.0;
+            self.blocked.binary_search(&edge).is_ok()
+        };
+        let mut heaviest_first = [0, 1, 2];
+        heaviest_first.sort_by(|&a, &b| weights[b].total_cmp(&weights[a]));
+        let mut kept = [0.0; 3];
+        for corner in heaviest_first {
+            if (0..3).all(|other| kept[other] == 0.0 || !is_blocked(corner, other)) {
+                kept[corner] = weights[corner];
             }
         }
         let sum: f64 = kept.iter().sum();
@@ -244,6 +271,33 @@ mod tests {
         // (0.625, 0.125, 0.25) without the second.
         let kept = weights(&blocked, DVec3::new(0.25, 1.0, 0.5));
         assert!((kept[0].1 - 0.625 / 0.875).abs() < 1e-12 && kept[1].0 == 2 && kept.len() == 2, "{kept:?}");
+    }
+
+    #[test]
+    fn corners_that_are_all_kept_apart_leave_the_heaviest_and_of_equal_ones_the_first() {
+        let mut apart = level(1.0, [0.0, 2.5], 0);
+        apart.blocked = vec![[0, 1], [0, 2], [1, 2]];
+        let apart = network(vec![apart]);
+        assert_eq!(weights(&apart, DVec3::new(1.2, 1.0, 0.4)), [(1, 1.0)]);
+        for equal in [DVec3::new(2.0 / 3.0, 1.0, 2.0 / 3.0), DVec3::new(1.0, 1.0, 0.0), DVec3::new(0.0, 1.0, 1.0)] {
+            assert_eq!(weights(&apart, equal), [(0, 1.0)], "{equal}");
+        }
+    }
+
+    #[test]
+    fn a_triangle_that_a_wall_parts_blends_across_it_until_its_edges_are_blocked() {
+        let mut level = level(1.0, [0.0, 2.5], 0);
+        // A wall at x = 0.8 keeps the second corner from the others.
+        let sides = level.inner_points(0).map(|point| point.x < 0.8);
+        assert_eq!(sides, [true, false, true]);
+        let parted = EDGE_ENDS.map(|[a, b]| sides[a] != sides[b]);
+        assert!(level.blends_across(0, parted));
+        level.block(&[parted]);
+        assert!(!level.blends_across(0, parted));
+        assert_eq!(level.blocked, [[0, 1], [1, 2]]);
+        let blended = network(vec![level]);
+        assert_eq!(weights(&blended, DVec3::new(1.3, 1.0, 0.3)), [(1, 1.0)]);
+        assert_eq!(weights(&blended, DVec3::new(0.2, 1.0, 0.2)).len(), 2);
     }
 
     #[test]

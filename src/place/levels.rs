@@ -50,6 +50,13 @@ pub struct Height {
     pub ceiling: f64,
 }
 
+impl Height {
+    /// Whether both belong to one storey.
+    pub fn is_same_storey(&self, other: &Self) -> bool {
+        self.floor == other.floor && self.ceiling == other.ceiling
+    }
+}
+
 /// The given heights, ordered, each in the storey that was found around it, else in that of the bounds.
 ///
 /// Fails with [`Error::Request`] when a height is outside `bounds`.

@@ -7,6 +7,7 @@
 //! which is global by its nature.
 
 use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use glam::{DVec3, Vec3};
@@ -14,6 +15,7 @@ use rayon::prelude::*;
 
 use super::free_space::Space;
 use super::interpolate::Network;
+use super::levels::Height;
 use super::signal::{self, Signal};
 use super::sites::LevelSites;
 use super::triangulation::Share;
@@ -27,6 +29,12 @@ const NEAR: usize = 64;
 
 /// A change that saves a smaller share of the errors is not worth making.
 const LEAST_GAIN: f64 = 1e-3;
+
+/// Every probe is offered its most promising other places, so many, ...
+const TRIES: usize = 4;
+
+/// ... at most so many times. Twice as many of both won less than one percent for twice the time.
+const PASSES: usize = 4;
 
 /// A place where a probe may stand, with what it would hold.
 pub struct Candidate {
@@ -70,8 +78,7 @@ pub struct Search<'a> {
     budget: Budget,
     /// Per candidate: the sites near it that see it, with the error there if it alone were looked up.
     near: Vec<Vec<(usize, f64)>>,
-    sights: BTreeMap<(u32, u32), bool>,
-    scratch: RayScratch,
+    sights: Mutex<BTreeMap<[u32; 2], bool>>,
 }
 
 impl<'a> Search<'a> {
@@ -97,11 +104,11 @@ impl<'a> Search<'a> {
             others.into_iter().map(error).collect()
         });
         let near = near.collect();
-        Self { space, levels, candidates, budget, near, sights: BTreeMap::new(), scratch: RayScratch::default() }
+        Self { space, levels, candidates, budget, near, sights: Mutex::default() }
     }
 
     /// The whole search: insertion, removal, exchange.
-    pub fn run(&mut self) -> Chosen {
+    pub fn run(&self) -> Chosen {
         let probes = self.candidates.iter().map(|candidate| (candidate.signal.position, candidate.signal.proxy));
         let levels = self.levels.iter().map(|level| level.ground.with_probes(&[], |_, _| true)).collect();
         let mut chosen = Chosen {
@@ -134,7 +141,7 @@ impl<'a> Search<'a> {
     }
 
     /// Inserts probes until no error is above the target or the budget is spent; one at least.
-    fn fill(&mut self, chosen: &mut Chosen) {
+    fn fill(&self, chosen: &mut Chosen) {
         while chosen.probes.len() < self.budget.probes && (chosen.probes.is_empty() || !self.is_over()) {
             let Some(best) = self.best(chosen) else { return };
             self.change(chosen, None, Some(best));
@@ -143,6 +150,11 @@ impl<'a> Search<'a> {
 
     /// The candidate that would save most of the errors above the target; none where that is nothing. Of equals the first.
     fn best(&self, chosen: &Chosen) -> Option<usize> {
+        self.promising(chosen, 1).first().copied()
+    }
+
+    /// The `count` candidates that promise to save most of the errors above the target, the best first.
+    fn promising(&self, chosen: &Chosen, count: usize) -> Vec<usize> {
         let gain = |i: usize| -> f64 {
             if chosen.probes.contains(&i) {
                 return 0.0;
@@ -151,12 +163,14 @@ impl<'a> Search<'a> {
             self.near[i].iter().map(saved).sum()
         };
         let gains: Vec<f64> = (0..self.candidates.len()).into_par_iter().map(gain).collect();
-        let best = (0..gains.len()).max_by(|&a, &b| gains[a].total_cmp(&gains[b]).then(b.cmp(&a)));
-        best.filter(|&best| gains[best] > 0.0)
+        let mut order: Vec<usize> = (0..gains.len()).filter(|&i| gains[i] > 0.0).collect();
+        order.sort_by(|&a, &b| gains[b].total_cmp(&gains[a]).then(a.cmp(&b)));
+        order.truncate(count);
+        order
     }
 
     /// Takes out every probe without which no more error is above the target, the first inserted first.
-    fn remove_predicted(&mut self, chosen: &mut Chosen) {
+    fn remove_predicted(&self, chosen: &mut Chosen) {
         for probe in chosen.probes.clone() {
             if chosen.probes.len() == 1 || self.is_over() {
                 return;
@@ -170,38 +184,55 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Moves every probe to where it saves most by now, if that saves more.
-    fn exchange(&mut self, chosen: &mut Chosen) {
-        for probe in chosen.probes.clone() {
-            if self.is_over() {
-                return;
+    /// Moves every probe to where it saves most by now, if that saves more, until none moves.
+    fn exchange(&self, chosen: &mut Chosen) {
+        for _ in 0..PASSES {
+            let mut has_moved = false;
+            for probe in chosen.probes.clone() {
+                if self.is_over() {
+                    return;
+                }
+                let mut without = chosen.clone();
+                self.change(&mut without, Some(probe), None);
+                let others = self.promising(&without, TRIES).into_par_iter().filter(|&other| other != probe);
+                let moved = others.map(|other| {
+                    let mut moved = without.clone();
+                    self.change(&mut moved, None, Some(other));
+                    (self.total_excess(&moved), moved)
+                });
+                // Of equals the more promising.
+                let best = moved
+                    .collect::<Vec<_>>()
+                    .into_iter()
+                    .reduce(|best, next| if next.0 < best.0 { next } else { best });
+                if let Some((excess, moved)) = best
+                    && excess < self.total_excess(chosen) * (1.0 - LEAST_GAIN)
+                {
+                    *chosen = moved;
+                    has_moved = true;
+                }
             }
-            let mut moved = chosen.clone();
-            self.change(&mut moved, Some(probe), None);
-            let Some(best) = self.best(&moved).filter(|&best| best != probe) else { continue };
-            self.change(&mut moved, None, Some(best));
-            if self.total_excess(&moved) < self.total_excess(chosen) * (1.0 - LEAST_GAIN) {
-                *chosen = moved;
+            if !has_moved {
+                return;
             }
         }
     }
 
     /// Removes and adds a probe, triangulates their levels anew, and judges the sites whose blend that changes.
-    fn change(&mut self, chosen: &mut Chosen, remove: Option<usize>, add: Option<usize>) {
+    fn change(&self, chosen: &mut Chosen, remove: Option<usize>, add: Option<usize>) {
         chosen.probes.retain(|&probe| Some(probe) != remove);
         chosen.probes.extend(add);
-        let mut levels: Vec<usize> = [remove, add].into_iter().flatten().map(|i| self.candidates[i].level).collect();
-        levels.dedup();
-        for level in levels {
-            let mut probes: Vec<usize> = chosen.probes.clone();
-            probes.retain(|&probe| self.candidates[probe].level == level);
-            // Whatever the order of insertion was.
-            probes.sort_unstable();
-            let probes: Vec<(u32, DVec3)> =
-                probes.into_iter().map(|i| (i as u32, self.candidates[i].signal.position)).collect();
-            let ground = &self.levels[level].ground;
-            chosen.network.levels[level] = ground.with_probes(&probes, |a, b| self.sees(a, b));
-        }
+        let storeys: Vec<Height> = [remove, add].into_iter().flatten().map(|i| self.height_of(i)).collect();
+        let (network, probes) = (&mut chosen.network, &chosen.probes);
+        network.levels.par_iter_mut().zip(self.levels).for_each(|(level, LevelSites { height, ground, .. })| {
+            if storeys.iter().any(|storey| storey.is_same_storey(height)) {
+                let own = probes.iter().filter(|&&probe| self.height_of(probe).is_same_storey(height));
+                let mut own: Vec<(u32, DVec3)> = own.map(|&i| (i as u32, self.candidates[i].signal.position)).collect();
+                // Whatever the order of insertion was.
+                own.sort_unstable_by_key(|(probe, _)| *probe);
+                *level = ground.with_probes(&own, |a, b| self.sees(a, b));
+            }
+        });
         let Chosen { network, blends, errors, .. } = chosen;
         let sites = blends.par_iter_mut().zip(errors).zip(self.candidates);
         sites.for_each(|((blend, error), site)| {
@@ -222,11 +253,20 @@ impl<'a> Search<'a> {
         if blend.is_empty() { UNPREDICTED } else { signal::error(&sum, &site.truth).min(UNPREDICTED) }
     }
 
+    fn height_of(&self, candidate: usize) -> Height {
+        self.levels[self.candidates[candidate].level].height
+    }
+
     /// Whether light passes between two candidates.
-    fn sees(&mut self, a: u32, b: u32) -> bool {
-        let [from, to] = [a.min(b), a.max(b)];
-        let position = |i: u32| self.candidates[i as usize].signal.position;
-        let (space, scratch) = (self.space, &mut self.scratch);
-        *self.sights.entry((from, to)).or_insert_with(|| space.is_open(position(from), position(to), scratch))
+    fn sees(&self, a: u32, b: u32) -> bool {
+        let ends = [a.min(b), a.max(b)];
+        let sights = || self.sights.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = sights().get(&ends).copied();
+        known.unwrap_or_else(|| {
+            let [from, to] = ends.map(|i| self.candidates[i as usize].signal.position);
+            let sees = self.space.is_open(from, to, &mut RayScratch::default());
+            sights().insert(ends, sees);
+            sees
+        })
     }
 }

@@ -1,9 +1,10 @@
 //! The triangulation of a level: what a runtime blends by.
 //!
 //! A constrained Delaunay triangulation of the probes and of the borders of free space; triangles outside of the free space
-//! are left out. A border has no probe, so every vertex states its own blend: a probe's is the probe, a border's is the
-//! probe that is nearest along the edges of the triangulation, so that it never reaches through a wall. Where a wall
-//! thinner than a cell passes through a vertex, each of its sides has a vertex of its own.
+//! are left out. A border has no probe, so every vertex states its own blend: a probe's is the probe, a border's is of the
+//! probes that are nearest along the edges of the triangulation, so that it never reaches through a wall. Where a wall
+//! thinner than a cell passes through a vertex, each of its sides has a vertex of its own. Levels of one storey share what
+//! stands in it: a probe is a vertex of the others, too, where these have none of their own above or below it.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
@@ -16,6 +17,13 @@ use spade::{ConstrainedDelaunayTriangulation, HasPosition, Point2, PositionInTri
 
 use super::contours::Contours;
 use super::levels::Height;
+
+/// A border is blended of so many probes, the nearest along edges, ...
+const BORDER_PROBES: usize = 3;
+
+/// ... each by its way's length to the minus this (Shepard 1968): measured, 2 is less accurate with few probes, and a
+/// single probe makes steps in the middle of a wall.
+const BORDER_POWER: i32 = 4;
 
 /// A probe's part in a blend.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -54,8 +62,30 @@ pub struct Level {
     pub neighbours: Vec<[Option<u32>; 3]>,
     /// Edges, by their vertices, that are borders of the free space.
     pub walls: Vec<[u32; 2]>,
-    /// Edges, by their vertices, whose probes do not see each other all the same.
+    /// Edges, by their vertices, whose probes do not see each other all the same, or whose triangle a wall parts.
     pub blocked: Vec<[u32; 2]>,
+}
+
+/// Which corners of a triangle its first, second and third edge join, the lower first.
+pub const EDGE_ENDS: [[usize; 2]; 3] = [[0, 1], [1, 2], [0, 2]];
+
+impl Level {
+    /// Blocks edges of triangles: per triangle and edge (by [`EDGE_ENDS`]), whether it is.
+    pub fn block(&mut self, edges: &[[bool; 3]]) {
+        let blocked = self.triangles.iter().zip(edges).flat_map(|(triangle, blocked)| {
+            let ends = EDGE_ENDS.map(|ends| sorted(ends.map(|corner| triangle[corner])));
+            ends.into_iter().zip(*blocked).filter(|(_, blocked)| *blocked).map(|(ends, _)| ends)
+        });
+        self.blocked.extend(blocked.collect::<Vec<_>>());
+        self.blocked.sort_unstable();
+        self.blocked.dedup();
+    }
+
+    /// A level that serves nothing.
+    fn empty(height: Height) -> Self {
+        let (vertices, triangles, neighbours) = (Vec::new(), Vec::new(), Vec::new());
+        Self { height, vertices, triangles, neighbours, walls: Vec::new(), blocked: Vec::new() }
+    }
 }
 
 /// A point of the plan on its way into spade.
@@ -63,6 +93,14 @@ pub struct Level {
 struct Site {
     position: DVec2,
     probe: Option<u32>,
+    /// Whether the probe stands at the level's own height.
+    is_own: bool,
+}
+
+impl Site {
+    fn border(position: DVec2) -> Self {
+        Self { position, probe: None, is_own: false }
+    }
 }
 
 impl HasPosition for Site {
@@ -87,27 +125,38 @@ impl Ground {
     /// The space within `contours`; `parts` holds a free point, half a cell from every border, of each connected part.
     pub fn new(height: Height, contours: &Contours, parts: Vec<DVec2>) -> Self {
         let mut triangles = Triangles::new();
-        let insert = |triangles: &mut Triangles, position: DVec2| triangles.insert(Site { position, probe: None }).ok();
+        let insert = |triangles: &mut Triangles, position: DVec2| triangles.insert(Site::border(position)).ok();
         let handles: Vec<_> = contours.points.iter().map(|&point| insert(&mut triangles, point)).collect();
         for &[from, to] in &contours.edges {
             if let (Some(from), Some(to)) = (handles[from], handles[to]) {
                 // Simplified borders can touch where they part; a split keeps both.
-                let split = |at: Point2<f64>| Site { position: DVec2::new(at.x, at.y), probe: None };
+                let split = |at: Point2<f64>| Site::border(DVec2::new(at.x, at.y));
                 triangles.add_constraint_and_split(from, to, split);
             }
         }
         Self { height, triangles, parts }
     }
 
-    /// Triangulates with `probes`, given by index and position. `sees` says whether two of them see each other.
-    pub fn with_probes(&self, probes: &[(u32, DVec3)], mut sees: impl FnMut(u32, u32) -> bool) -> Level {
+    /// Triangulates with the `probes` of the storey, given by index and position; without any at this height there are no
+    /// triangles. Where none of this height stands above or below another, that one stands in. `sees` says whether two of
+    /// them see each other.
+    pub fn with_probes(&self, probes: &[(u32, DVec3)], sees: impl Fn(u32, u32) -> bool) -> Level {
+        let mut level = Level::empty(self.height);
+        let away = |position: DVec3| (position.y - self.height.y).abs();
+        if probes.iter().all(|(_, position)| away(*position) > 0.0) {
+            return level;
+        }
+        // The nearest last: of those at one place it stays.
+        let mut by_distance = probes.to_vec();
+        by_distance.sort_by(|a, b| away(b.1).total_cmp(&away(a.1)).then(a.0.cmp(&b.0)));
         let mut triangles = self.triangles.clone();
-        for &(probe, position) in probes {
+        for (probe, position) in by_distance {
+            let (place, is_own) = (DVec2::new(position.x, position.z), away(position) == 0.0);
             // Positions come from the plan: finite, and not too small to be told from zero.
-            let _ = triangles.insert(Site { position: DVec2::new(position.x, position.z), probe: Some(probe) });
+            let _ = triangles.insert(Site { position: place, probe: Some(probe), is_own });
         }
         let inside = inside(&triangles, &self.parts);
-        let mut level = extract(&triangles, &inside, self.height);
+        extract(&triangles, &inside, &mut level);
         let probe_of: BTreeMap<u32, u32> = (0..)
             .zip(&level.vertices)
             .filter_map(|(i, vertex)| vertex.blend.first().map(|share| (i, share.probe)))
@@ -160,7 +209,7 @@ fn sorted([a, b]: [u32; 2]) -> [u32; 2] {
 }
 
 /// The triangles inside with vertices of their own: corners are one vertex where their triangles share an open edge.
-fn extract(triangles: &Triangles, inside: &[bool], height: Height) -> Level {
+fn extract(triangles: &Triangles, inside: &[bool], level: &mut Level) {
     let faces: Vec<_> = triangles.inner_faces().filter(|face| inside[face.fix().index()]).collect();
     let mut number = vec![u32::MAX; inside.len()];
     (0..).zip(&faces).for_each(|(i, face)| number[face.fix().index()] = i);
@@ -189,23 +238,22 @@ fn extract(triangles: &Triangles, inside: &[bool], height: Height) -> Level {
         }
     }
     let mut vertex_of = vec![u32::MAX; same.len()];
-    let mut vertices = Vec::new();
     for corner in 0..same.len() {
         let root = root(&mut same, corner);
         if vertex_of[root] == u32::MAX {
-            vertex_of[root] = vertices.len() as u32;
+            vertex_of[root] = level.vertices.len() as u32;
             let site = *faces[corner / 3].vertices()[corner % 3].data();
             let blend = site.probe.map(|probe| Share { probe, weight: 1.0 });
-            let (position, is_probe) = (site.position, blend.is_some());
-            vertices.push(Vertex { position, blend: blend.into_iter().collect(), is_probe });
+            let blend = blend.into_iter().collect();
+            level.vertices.push(Vertex { position: site.position, blend, is_probe: site.is_own });
         }
         vertex_of[corner] = vertex_of[root];
     }
-    let triangles = (0..faces.len()).map(|i| [0, 1, 2].map(|k| vertex_of[3 * i + k])).collect();
-    let mut walls: Vec<[u32; 2]> = walls.into_iter().map(|ends| sorted(ends.map(|corner| vertex_of[corner]))).collect();
-    walls.sort_unstable();
-    walls.dedup();
-    Level { height, vertices, triangles, neighbours, walls, blocked: Vec::new() }
+    level.triangles = (0..faces.len()).map(|i| [0, 1, 2].map(|k| vertex_of[3 * i + k])).collect();
+    level.neighbours = neighbours;
+    level.walls = walls.into_iter().map(|ends| sorted(ends.map(|corner| vertex_of[corner]))).collect();
+    level.walls.sort_unstable();
+    level.walls.dedup();
 }
 
 /// The corner that stands for all that are one vertex with `corner`: the least of them.
@@ -230,29 +278,42 @@ fn blend_borders(level: &mut Level, probes: &[(u32, DVec3)]) {
         links[a as usize].push(b);
         links[b as usize].push(a);
     }
-    // Bits of a length order as the length does; equal lengths go to the lower probe.
-    let mut nearest: Vec<Option<u32>> = vec![None; level.vertices.len()];
+    // Per vertex the probes that reach it first, with the lengths of their ways. Bits of a length order as the length does;
+    // equal lengths go to the lower probe.
+    let mut reached: Vec<Vec<(u32, f64)>> = vec![Vec::new(); level.vertices.len()];
     let own = |vertex: &Vertex| vertex.blend.first().map(|share| share.probe);
     let mut queue: BinaryHeap<Reverse<(u64, u32, u32)>> = (0..)
         .zip(&level.vertices)
         .filter_map(|(i, vertex)| own(vertex).map(|probe| Reverse((0.0_f64.to_bits(), probe, i))))
         .collect();
     while let Some(Reverse((bits, probe, vertex))) = queue.pop() {
-        if nearest[vertex as usize].is_some() {
+        let probes = &mut reached[vertex as usize];
+        if probes.len() == BORDER_PROBES || probes.iter().any(|(known, _)| *known == probe) {
             continue;
         }
-        nearest[vertex as usize] = Some(probe);
+        let way = f64::from_bits(bits);
+        probes.push((probe, way));
         let from = level.vertices[vertex as usize].position;
         for &next in &links[vertex as usize] {
-            let length = f64::from_bits(bits) + from.distance(level.vertices[next as usize].position);
+            let length = way + from.distance(level.vertices[next as usize].position);
             queue.push(Reverse((length.to_bits(), probe, next)));
         }
     }
-    for (vertex, nearest) in level.vertices.iter_mut().zip(nearest) {
+    for (vertex, reached) in level.vertices.iter_mut().zip(reached) {
+        if !vertex.blend.is_empty() {
+            continue;
+        }
         let at = DVec3::new(vertex.position.x, level.height.y, vertex.position.y);
         let crow = || probes.iter().min_by(|a, b| a.1.distance_squared(at).total_cmp(&b.1.distance_squared(at)));
-        let probe = nearest.or_else(|| crow().map(|probe| probe.0));
-        vertex.blend = probe.map(|probe| Share { probe, weight: 1.0 }).into_iter().collect();
+        let least = reached.first().map_or(1.0, |first| first.1);
+        let shares = reached.iter().map(|&(probe, way)| Share { probe, weight: (least / way).powi(BORDER_POWER) });
+        let mut blend: Vec<Share> = shares.collect();
+        if blend.is_empty() {
+            blend.extend(crow().map(|probe| Share { probe: probe.0, weight: 1.0 }));
+        }
+        let sum: f64 = blend.iter().map(|share| share.weight).sum();
+        blend.iter_mut().for_each(|share| share.weight /= sum);
+        vertex.blend = blend;
     }
 }
 
@@ -334,6 +395,44 @@ mod tests {
     fn a_part_without_a_probe_takes_the_nearest_probe_of_all() {
         let level = level(&["..#..", "..#.."], &[[0.2, 0.3]]);
         assert!(level.vertices.iter().all(|vertex| vertex.blend == [Share { probe: 0, weight: 1.0 }]));
+    }
+
+    #[test]
+    fn borders_are_blended_of_the_probes_nearest_along_edges() {
+        // A corridor one cell wide: ways run along it.
+        let level = level(&["................"], &[[0.5, 0.12], [2.0, 0.12], [3.5, 0.12]]);
+        for vertex in level.vertices.iter().filter(|vertex| !vertex.is_probe) {
+            let sum: f64 = vertex.blend.iter().map(|share| share.weight).sum();
+            assert!((sum - 1.0).abs() < 1e-12 && vertex.blend.len() == 3);
+            let nearest = if vertex.position.x < 2.0 { 0 } else { 2 };
+            let heaviest = vertex.blend.iter().max_by(|a, b| a.weight.total_cmp(&b.weight)).unwrap();
+            assert_eq!(heaviest.probe, nearest, "{vertex:?}");
+            // Half a metre against two at the least, by the fourth power.
+            assert!(heaviest.weight > 0.99);
+        }
+    }
+
+    #[test]
+    fn a_probe_above_stands_in_where_a_level_has_none_and_nowhere_else() {
+        let plan = drawn(&["........"; 4]);
+        let ground = |y| {
+            let height = Height { y, ..HEIGHT };
+            Ground::new(height, &Contours::of(&plan), vec![plan.lattice.centre(0)])
+        };
+        let at = |x: f64, y: f64| DVec3::new(x, y, 0.5);
+        let probes = [(0, at(0.5, 0.6)), (1, at(1.5, 0.6)), (2, at(1.5, 1.6)), (3, at(1.0, 1.6)), (4, at(1.0, 2.6))];
+        let stands = |y: f64| -> Vec<(u32, bool)> {
+            let level = ground(y).with_probes(&probes, |_, _| true);
+            let places = level.vertices.iter().filter(|vertex| vertex.position.y == 0.5);
+            let mut stands: Vec<_> = places.map(|vertex| (vertex.blend[0].probe, vertex.is_probe)).collect();
+            stands.sort_unstable();
+            stands
+        };
+        assert_eq!(stands(0.6), [(0, true), (1, true), (3, false)]);
+        assert_eq!(stands(1.6), [(0, false), (2, true), (3, true)]);
+        assert_eq!(stands(2.6), [(0, false), (2, false), (4, true)]);
+        // Without a probe of its own a level has nothing to add.
+        assert_eq!(ground(1.1).with_probes(&probes, |_, _| true), Level::empty(Height { y: 1.1, ..HEIGHT }));
     }
 
     #[test]

@@ -87,13 +87,16 @@ function locate(level, point) {
   return nearest;
 }
 
-/** Of two corners joined by a blocked edge only the one with the greater weight counts. */
+/** From the heaviest corner down, of equal ones from the first, a corner counts unless a blocked edge joins it to one that counts. */
 function unblocked(level, triangle, corners) {
   const vertices = level.triangles[triangle];
-  const kept = [...corners];
-  for (const [a, b] of [[0, 1], [1, 2], [2, 0]]) {
+  const isBlocked = (a, b) => {
     const [low, high] = [Math.min(vertices[a], vertices[b]), Math.max(vertices[a], vertices[b])];
-    if (level.blocked.some((edge) => edge[0] === low && edge[1] === high)) kept[corners[a] < corners[b] ? a : b] = 0;
+    return level.blocked.some((edge) => edge[0] === low && edge[1] === high);
+  };
+  const kept = [0, 0, 0];
+  for (const corner of [0, 1, 2].sort((a, b) => corners[b] - corners[a])) {
+    if (kept.every((weight, other) => weight === 0 || !isBlocked(corner, other))) kept[corner] = corners[corner];
   }
   const sum = kept[0] + kept[1] + kept[2];
   return kept.map((weight) => weight / sum);
