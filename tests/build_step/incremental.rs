@@ -112,6 +112,28 @@ fn a_changed_picture_beside_a_mesh_is_seen_and_unlit_tiles_elsewhere_are_kept() 
 }
 
 #[test]
+fn light_that_is_the_same_after_all_takes_the_files_it_had() {
+    let folder = few();
+    let bake = "bake --splats few.ply --probe 0,0,0 --face-size 64 --mesh square.glb --mesh-transform t=";
+    let bake_and_count = |line: &str| {
+        let stats = stats(folder.path(), line);
+        let kept: serde_json::Value = serde_json::from_slice(&run(folder.path(), "cache stats kept").stdout).unwrap();
+        (stats["rays"].as_u64().unwrap(), kept["bytes"].as_u64().unwrap())
+    };
+    // Probes do not see backs: wherever the square shows its own, its tiles are traced again for nothing.
+    let (_, first) = bake_and_count(&format!("{bake}-1,0,0 --outputs strip,mips --pixel float --cache kept -o out"));
+    let (rays, second) =
+        bake_and_count(&format!("{bake}-2,0,0 --outputs strip,mips --pixel float --cache kept -o out"));
+    let size = |name: &str| std::fs::metadata(folder.path().join("out/probe_000").join(name)).unwrap().len();
+    let files = size("radiance.exr") + size("specular.exr") + size("preview.png");
+    let radiance = 6 * 64 * 64 * 16;
+    println!("{rays} rays; the cache grew from {first} to {second} bytes; files {files}, radiance {radiance}");
+    assert!(rays > 0 && second - first < radiance + files / 2);
+    run(folder.path(), &format!("{bake}-2,0,0 --outputs strip,mips --pixel float --no-cache -o clean"));
+    assert_same(folder.path(), "out", "clean");
+}
+
+#[test]
 fn light_that_bounces_reaches_every_tile() {
     let folder = few();
     let bake = "bake --splats few.ply --mesh square.glb --probe 0,0,0 --face-size 8 --surface path --max-paths 4";
