@@ -60,7 +60,7 @@ prefilter() {
 
 placement() {
     page placement "Placement" "Adaptive probes beside a grid, in a building of sixteen rooms and halls."
-    run cargo bench --bench placement
+    run cargo bench --bench placement -- --gaussians 1500000 --bake
 }
 
 surfaces() {
