@@ -4,7 +4,8 @@
 #   benches/results.sh              # all of it: about an hour on two cores that do nothing else
 #   benches/results.sh seams load   # some pages
 #
-# `peers` needs python3, the network the first time, and an LLVM library (Debian: libllvm19). SCENES names further splat files
+# `prefilter` needs node, npm and chromium, `peers` python3 and an LLVM library (Debian: libllvm19), both the network the first
+# time. SCENES names further splat files
 # for `errors`, each of which gets a page of its own.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -56,6 +57,11 @@ footprint() {
 prefilter() {
     page prefilter "Prefiltering" "A chain of seven mips of a 256 px cubemap, and its error against brute force."
     run cargo bench --bench filter
+    [ -d "$tools/web/node_modules/three" ] ||
+        npm install --silent --prefix "$tools/web" playwright-core ktx-parse zstddec three@0.187.0
+    cargo build --release --quiet
+    run target/release/splatprobe bake pipelines/demo/demo.json --outputs ktx2 --progress none -o "$work/demo"
+    run node tests/oracles/web/pmrem.mjs "$tools/web" "$work/demo/probe_000/specular.ktx2"
 }
 
 placement() {

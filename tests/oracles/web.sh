@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Exports for web engines in those engines: three.js, Babylon.js and PlayCanvas (npm) load a bake in headless Chromium, and a
 # mirror ball there is compared with one computed on the CPU; so is the preview page's. ktx-parse (npm) reads every KTX2 file.
+# Prefiltering is compared with brute force, beside three.js's own.
 #
 #   tests/oracles/web.sh [splatprobe] [folder for the tools] [folder for the pictures]
 #
@@ -35,3 +36,4 @@ for light in captured calibration; do
     node "$here/web/run.mjs" "$tools" "$work/$light" "$work/exports-$light" "$work/$light.html" "$pictures/$light"
     node "$here/web/ktx2.mjs" "$tools" "$work/exports-$light"
 done
+node "$here/web/pmrem.mjs" "$tools" "$work/captured/probe_000/specular.ktx2"

@@ -2,14 +2,14 @@
 import fs from 'node:fs';
 import path from 'node:path';
 
-const half = (bits) => {
+export const half = (bits) => {
   const [sign, exponent, mantissa] = [bits >> 15 ? -1 : 1, (bits >> 10) & 31, bits & 1023];
   return exponent ? sign * 2 ** (exponent - 15) * (1 + mantissa / 1024) : (sign * mantissa) / 2 ** 24;
 };
 
 // OpenGL 4.6, table 8.19: slot and the place in it, 0 to 1, by direction; and a direction through a place of a slot, also
 // beyond its edges.
-function locate([x, y, z]) {
+export function locate([x, y, z]) {
   const [ax, ay, az] = [x, y, z].map(Math.abs);
   let row;
   if (ax >= ay && ax >= az) row = x > 0 ? [0, -z, -y, ax] : [1, z, -y, ax];
@@ -17,7 +17,7 @@ function locate([x, y, z]) {
   else row = z > 0 ? [4, x, -y, az] : [5, -x, -y, az];
   return [row[0], (row[1] / row[3] + 1) / 2, (row[2] / row[3] + 1) / 2];
 }
-const through = [
+export const through = [
   (s, t) => [1, -t, -s], (s, t) => [-1, -t, s], (s, t) => [s, 1, t], (s, t) => [s, -1, -t], (s, t) => [s, -t, 1], (s, t) => [-s, -t, -1],
 ];
 
