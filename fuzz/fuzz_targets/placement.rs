@@ -7,12 +7,26 @@ use splatprobe::place::contours::Contours;
 use splatprobe::place::levels::Height;
 use splatprobe::place::plan::{Lattice, Plan};
 use splatprobe::place::triangulation::Ground;
+use splatprobe::place::walls::Openings;
 
 /// Bits of a cell: free, open toward +X and +Z, with a probe. The other four move the probe from the cell's centre.
 const FREE: u8 = 1;
 const OPEN_X: u8 = 2;
 const OPEN_Z: u8 = 4;
 const PROBE: u8 = 8;
+
+/// Walls by the bits of the points that they stand between: any, and always the same.
+struct Arbitrary;
+
+impl Openings for Arbitrary {
+    fn is_open(&self, from: DVec3, to: DVec3) -> bool {
+        !(from + to).x.to_bits().wrapping_mul(0x9e37_79b9_7f4a_7c15).leading_zeros().is_multiple_of(3)
+    }
+
+    fn is_free(&self, point: DVec3) -> bool {
+        point.z.to_bits() & 0x100 != 0
+    }
+}
 
 fn plan(width: usize, cells: &[u8]) -> Plan {
     let lattice = Lattice { cell: 0.25, first: [-3, 5], size: [width, cells.len() / width] };
@@ -45,7 +59,7 @@ libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
     };
     let probes: Vec<(u32, DVec3)> = (0..).zip(with_probe.map(|&i| moved(i))).collect();
     let height = Height { y: 1.5, floor: 0.0, ceiling: 3.0 };
-    let level = Ground::new(height, &Contours::of(&plan), parts).with_probes(&probes, |a, b| (a + b) % 3 != 0);
+    let level = Ground::new(height, &Contours::of(&plan), parts).with_probes(&probes, &Arbitrary);
     let network = Network { levels: vec![level], ..Network::default() };
     for (_, probe) in &probes {
         let sum: f64 = network.weights(*probe).iter().map(|share| share.weight).sum();

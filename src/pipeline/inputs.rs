@@ -12,7 +12,7 @@ use bytemuck::cast_slice;
 use serde::{Deserialize, Serialize};
 
 use super::memory::Memory;
-use crate::bake::{Cubemap, ProbeStatistics};
+use crate::bake::Cubemap;
 use crate::bvh::MESH_LANES;
 use crate::cache::{Bundle, Digest, Digests, Key};
 use crate::ingest::{self, SceneReport};
@@ -205,13 +205,13 @@ impl Content {
 }
 
 /// The key of the files that the light traced for `probe` becomes, whatever it was traced in.
-pub(super) fn files_key(job: &Job, probe: &Probe, cubemap: &Cubemap, statistics: &ProbeStatistics) -> Key {
+pub(super) fn files_key(job: &Job, probe: &Probe, cubemap: &Cubemap) -> Key {
     let mut light = blake3::Hasher::new();
     light.update(cast_slice(&cubemap.texels));
     if let Some(distance) = &cubemap.distance {
         light.update(cast_slice(distance));
     }
-    Key::of("files", &(look(job), probe, statistics, light.finalize().as_bytes()))
+    Key::of("files", &(look(job), probe, light.finalize().as_bytes()))
 }
 
 /// What of `job` decides a probe's pixels and files, beside the scene: inputs are known by content, and where the other

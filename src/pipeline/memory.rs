@@ -7,7 +7,7 @@ use bytemuck::cast_slice;
 use serde::Serialize;
 
 use super::workspace::Workspace;
-use crate::bake::{BakeSettings, Cubemap, Earlier, Progress, TileSums, Traced};
+use crate::bake::{BakeSettings, Cubemap, Earlier, ProbeStatistics, Progress, TileSums, Traced};
 use crate::cache::{Bundle, Key, Store};
 use crate::job::{Job, Surface};
 use crate::scene::{Bounds, SplatEncoding};
@@ -95,17 +95,19 @@ impl<'a> Memory<'a> {
         }
     }
 
-    /// The files of the probe with this key.
-    pub fn probe(&self, key: &Key) -> Option<Bundle> {
-        self.get(&self.get(key)?.get_json("files")?)
+    /// The files and the statistics of the probe with this key.
+    pub fn probe(&self, key: &Key) -> Option<(Bundle, ProbeStatistics)> {
+        let probe = self.get(key)?;
+        Some((self.get(&probe.get_json("files")?)?, probe.get_json("statistics")?))
     }
 
     /// Remembers that the probe with this key has the files kept under `files`: from now on an interrupted bake has
     /// something to go on from.
-    pub fn put_probe(&self, key: &Key, files: &Key) {
-        let mut bundle = Bundle::default();
-        bundle.add_json("files", files);
-        self.put(key, &bundle);
+    pub fn put_probe(&self, key: &Key, files: &Key, statistics: &ProbeStatistics) {
+        let mut probe = Bundle::default();
+        probe.add_json("files", files);
+        probe.add_json("statistics", statistics);
+        self.put(key, &probe);
         if self.is_journal() {
             self.workspace.set_resumable(true);
         }

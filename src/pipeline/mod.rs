@@ -145,7 +145,7 @@ fn run(asked: &Job, job: &Job, progress: &dyn Progress, cancel: &AtomicBool) -> 
     };
     let chosen: Vec<usize> = (0..plan.probes.len()).filter(|&i| job.shard.is_none_or(|part| part.holds(i))).collect();
     let is_known = |number: &usize| match memory.probe(&tracing.key(&plan.probes[*number])) {
-        Some(bundle) => output.restore(*number, &bundle),
+        Some((files, statistics)) => output.restore(*number, &files, statistics),
         None => Ok(false),
     };
     let known: Vec<bool> = chosen.par_iter().map(is_known).collect::<Result<_>>()?;

@@ -101,6 +101,11 @@ impl<'a> Output<'a> {
         Ok(())
     }
 
+    /// The statistics of a probe that is written.
+    pub fn statistics(&self, index: usize) -> Option<ProbeStatistics> {
+        self.probes()[index].as_ref().map(|written| written.record.statistics)
+    }
+
     /// A probe's files and all that the manifest and the contact sheet need of it; `None` if it is not written.
     ///
     /// Fails with [`Error::Read`] where a file is not there any more.
@@ -118,10 +123,11 @@ impl<'a> Output<'a> {
         Ok(Some(bundle))
     }
 
-    /// Writes a probe from its bundle; false where the bundle is not one of this program.
-    pub fn restore(&self, index: usize, bundle: &Bundle) -> Result<bool> {
+    /// Writes a probe from its bundle; false where the bundle is not one of this program. The same light can be found with
+    /// other `statistics`, such as what rays do not see.
+    pub fn restore(&self, index: usize, bundle: &Bundle, statistics: ProbeStatistics) -> Result<bool> {
         let parts = || {
-            let record: ProbeRecord = bundle.get_json("record")?;
+            let record = ProbeRecord { statistics, ..bundle.get_json("record")? };
             let clamped_values = bundle.get_json("clampedValues")?;
             let face_size: u32 = bundle.get_json("thumbnailSize")?;
             let texels: Vec<[f32; 4]> =

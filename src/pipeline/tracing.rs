@@ -105,9 +105,10 @@ impl Tracing<'_> {
     fn keep(&self, number: usize, files: &Key) -> Result<()> {
         if self.memory.store().is_some()
             && let Some(bundle) = self.output.bundle(number)?
+            && let Some(statistics) = self.output.statistics(number)
         {
             self.memory.put(files, &bundle);
-            self.memory.put_probe(&self.key(&self.plan.probes[number]), files);
+            self.memory.put_probe(&self.key(&self.plan.probes[number]), files, &statistics);
         }
         Ok(())
     }
@@ -119,11 +120,11 @@ impl Tracing<'_> {
         if memory.store().is_none() {
             return output.write_probe(number, probe, cubemap, statistics);
         }
-        let files = files_key(job, probe, &cubemap, &statistics);
+        let files = files_key(job, probe, &cubemap);
         if let Some(bundle) = memory.get(&files)
-            && output.restore(number, &bundle)?
+            && output.restore(number, &bundle, statistics)?
         {
-            memory.put_probe(&self.key(probe), &files);
+            memory.put_probe(&self.key(probe), &files, &statistics);
             return Ok(());
         }
         output.write_probe(number, probe, cubemap, statistics)?;

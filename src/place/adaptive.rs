@@ -7,7 +7,7 @@
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -20,7 +20,8 @@ use super::search::{Budget, Candidate, Chosen, Search};
 use super::signal::Signal;
 use super::sites::Dropped;
 use super::survey::{Sight, Survey, trace_all};
-use super::triangulation::{EDGE_ENDS, Level, Share};
+use super::triangulation::{Level, Share};
+use super::walls::Traced;
 use super::{Probe, grid, influence, probe_id};
 use crate::error::Result;
 use crate::scene::Bounds;
@@ -216,23 +217,16 @@ impl<'a> Placed<'a> {
         Self { probes: probes.collect(), estimated_errors, candidates, chosen: indices, record }
     }
 
-    /// Looks for walls within triangles, which keep their corners apart from then on, and counts faults.
+    /// Counts faults by tracing.
     fn check(&mut self, space: &Space) {
         let in_matter = |scratch: &mut RayScratch, probe: &Probe| usize::from(!space.is_free(probe.position, scratch));
         let checks = &mut self.record.checks;
         checks.probes_in_matter = self.probes.par_iter().map_init(RayScratch::default, in_matter).sum();
-        for level in &mut self.record.levels {
-            let height = level.height.y;
-            let parted = |scratch: &mut RayScratch, points: [DVec2; 3]| {
-                parted(points.map(|at| DVec3::new(at.x, height, at.y)), space, scratch)
-            };
-            let parted: Vec<[bool; 3]> = (0..level.triangles.len())
-                .into_par_iter()
-                .map_init(RayScratch::default, |scratch, triangle| parted(scratch, level.inner_points(triangle)))
-                .collect();
-            level.block(&parted);
-            checks.triangles_across_walls += (0..parted.len()).filter(|&i| level.blends_across(i, parted[i])).count();
-        }
+        let openings = Traced::new(space);
+        let across = |level: &Level| {
+            (0..level.triangles.len()).into_par_iter().filter(|&i| level.blends_across(i, &openings)).count()
+        };
+        checks.triangles_across_walls = self.record.levels.iter().map(across).sum();
     }
 
     /// Measures errors where the `truths` were traced, of this placement and of a grid.
@@ -259,17 +253,6 @@ impl<'a> Placed<'a> {
         let probes = self.probes.iter().map(|probe| (probe.position, probe.proxy)).collect();
         Network { probes, levels: self.record.levels.clone() }
     }
-}
-
-/// Of three points in a triangle: between which of them a wall stands, by [`EDGE_ENDS`].
-fn parted(points: [DVec3; 3], space: &Space, scratch: &mut RayScratch) -> [bool; 3] {
-    let free = points.map(|point| space.is_free(point, scratch));
-    let sights = EDGE_ENDS.map(|[a, b]| (free[a] && free[b]).then(|| space.is_open(points[a], points[b], scratch)));
-    let seen = sights.iter().flatten().count();
-    let blocked = sights.map(|sight| sight == Some(false));
-    // A wall parts two sides of three; a pole stands in one.
-    let is_wall = blocked.iter().filter(|blocked| **blocked).count() + 1 >= seen;
-    blocked.map(|blocked| blocked && is_wall)
 }
 
 /// Signals of a regular grid, whose proxy boxes are fitted as those of adaptive probes are, and its linear weights.

@@ -2,13 +2,13 @@
 
 use glam::{DVec2, DVec3};
 
-use super::triangulation::Level;
+use super::triangulation::{Level, Share};
 use crate::scene::Bounds;
 
 /// A probe's influence box and its blend distances in the order +X -X +Y -Y +Z -Z, in metres.
 pub type Influence = (Bounds, [f64; 6]);
 
-/// One box per probe: it holds every triangle in which the probe has a part, grown by `margin` metres in the plan for
+/// One box per probe: it holds every triangle in which the probe is a corner's heaviest, grown by `margin` metres in the plan for
 /// what lies between the triangles' border and the walls, and reaches to the neighbouring levels' heights, the outermost to
 /// `bounds`. So every free position lies in a box. Levels come from the lowest up.
 ///
@@ -21,7 +21,14 @@ pub fn influences(probes: &[DVec3], levels: &[Level], margin: f64, bounds: &Boun
         let (low, high) = heights(levels, index, bounds);
         for triangle in &level.triangles {
             let corners = triangle.map(|vertex| &level.vertices[vertex as usize]);
-            let parts = || corners.iter().flat_map(|vertex| &vertex.blend).map(|share| share.probe as usize);
+            // Of a border's blend the heaviest: a probe's box need not hold all that it adds a little to.
+            let heaviest = |a: &&Share, b: &&Share| a.weight.total_cmp(&b.weight).then(b.probe.cmp(&a.probe));
+            let parts = || {
+                corners
+                    .iter()
+                    .filter_map(|vertex| vertex.blend.iter().max_by(heaviest))
+                    .map(|share| share.probe as usize)
+            };
             for probe in parts() {
                 let (influence, blend) = &mut influences[probe];
                 for corner in corners {
@@ -77,13 +84,14 @@ mod tests {
     use crate::place::levels::Height;
     use crate::place::plan::{Plan, tests::drawn};
     use crate::place::triangulation::Ground;
+    use crate::place::walls::Air;
 
     const BOUNDS: Bounds = Bounds { min: DVec3::new(0.0, -0.1, 0.0), max: DVec3::new(4.0, 5.8, 4.0) };
 
     fn level(plan: &Plan, y: f64, [floor, ceiling]: [f64; 2], probes: &[(u32, DVec3)]) -> Level {
         let all: Vec<usize> = (0..plan.lattice.cell_count()).collect();
         let parts = plan.groups(&all).iter().map(|group| plan.lattice.centre(group[0])).collect();
-        Ground::new(Height { y, floor, ceiling }, &Contours::of(plan), parts).with_probes(probes, |_, _| true)
+        Ground::new(Height { y, floor, ceiling }, &Contours::of(plan), parts).with_probes(probes, &Air)
     }
 
     #[test]

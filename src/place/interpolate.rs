@@ -11,7 +11,7 @@
 
 use glam::{DVec2, DVec3, Vec3};
 
-use super::triangulation::{EDGE_ENDS, Level, Share};
+use super::triangulation::{Level, Share};
 use crate::scene::{Bounds, LinearRgb};
 
 /// What a runtime needs to blend probes: the manifest's part without images.
@@ -128,26 +128,8 @@ impl Level {
         (nearest.1, nearest.2)
     }
 
-    /// Points of a triangle in the plan, half-way from its centre to its corners.
-    pub fn inner_points(&self, triangle: usize) -> [DVec2; 3] {
-        let corners = self.triangles[triangle].map(|vertex| self.vertices[vertex as usize].position);
-        let centre = (corners[0] + corners[1] + corners[2]) / 3.0;
-        corners.map(|corner| (corner + centre) / 2.0)
-    }
-
-    /// Whether one of a triangle's inner points takes something from a corner beyond a wall: between which of them one
-    /// stands, `parted` says, in the order of [`EDGE_ENDS`].
-    pub fn blends_across(&self, triangle: usize, parted: [bool; 3]) -> bool {
-        let sides = EDGE_ENDS.into_iter().zip(parted).filter(|(_, parted)| *parted);
-        sides.flat_map(|([a, b], _)| [(a, b), (b, a)]).any(|(here, beyond)| {
-            let mut weights = [1.0 / 6.0; 3];
-            weights[here] = 2.0 / 3.0;
-            self.unblocked(triangle, weights)[beyond] > 0.0
-        })
-    }
-
     /// Weights of the corners that no blocked edge keeps from a heavier one that counts.
-    fn unblocked(&self, triangle: usize, weights: [f64; 3]) -> [f64; 3] {
+    pub(super) fn unblocked(&self, triangle: usize, weights: [f64; 3]) -> [f64; 3] {
         let corners = self.triangles[triangle];
         let is_blocked = |a: usize, b: usize| {
             let edge = [corners[a].min(corners[b]), corners[a].max(corners[b])];
@@ -282,22 +264,11 @@ mod tests {
         for equal in [DVec3::new(2.0 / 3.0, 1.0, 2.0 / 3.0), DVec3::new(1.0, 1.0, 0.0), DVec3::new(0.0, 1.0, 1.0)] {
             assert_eq!(weights(&apart, equal), [(0, 1.0)], "{equal}");
         }
-    }
-
-    #[test]
-    fn a_triangle_that_a_wall_parts_blends_across_it_until_its_edges_are_blocked() {
-        let mut level = level(1.0, [0.0, 2.5], 0);
-        // A wall at x = 0.8 keeps the second corner from the others.
-        let sides = level.inner_points(0).map(|point| point.x < 0.8);
-        assert_eq!(sides, [true, false, true]);
-        let parted = EDGE_ENDS.map(|[a, b]| sides[a] != sides[b]);
-        assert!(level.blends_across(0, parted));
-        level.block(&[parted]);
-        assert!(!level.blends_across(0, parted));
-        assert_eq!(level.blocked, [[0, 1], [1, 2]]);
-        let blended = network(vec![level]);
-        assert_eq!(weights(&blended, DVec3::new(1.3, 1.0, 0.3)), [(1, 1.0)]);
-        assert_eq!(weights(&blended, DVec3::new(0.2, 1.0, 0.2)).len(), 2);
+        // The third is kept from the second alone, which is kept from the first.
+        let mut chain = level(1.0, [0.0, 2.5], 0);
+        chain.blocked = vec![[0, 1], [1, 2]];
+        let chained = weights(&network(vec![chain]), DVec3::new(0.5, 1.0, 0.25));
+        assert_eq!(chained.iter().map(|share| share.0).collect::<Vec<_>>(), [0, 2]);
     }
 
     #[test]

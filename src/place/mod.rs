@@ -16,6 +16,7 @@ pub mod signal;
 pub mod sites;
 pub mod survey;
 pub mod triangulation;
+pub mod walls;
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};

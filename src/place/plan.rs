@@ -87,7 +87,7 @@ pub struct Plan {
     pub lattice: Lattice,
     /// Height of the level, in metres.
     pub height: f64,
-    /// Whether a cell's centre is free and nothing parts the cell.
+    /// Whether a cell's centre is free.
     pub free: Vec<bool>,
     /// Whether light passes from a cell to the next along +X and +Z; false unless both are free.
     pub open: [Vec<bool>; 2],
@@ -100,19 +100,9 @@ impl Plan {
             let centre = lattice.centre(index);
             DVec3::new(centre.x, height, centre.y)
         };
-        // Whether something parts the cell though its centre is free, as the end of a wall does beside a door: two of the
-        // sights between its quarters.
-        let is_parted = |scratch: &mut RayScratch, index: usize| {
-            let quarter = lattice.cell / 4.0;
-            let quarters = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)]
-                .map(|(x, z)| point(index) + DVec3::new(x, 0.0, z) * quarter);
-            let pairs = [(0, 1), (1, 3), (3, 2), (2, 0), (0, 3), (1, 2)];
-            pairs.into_iter().filter(|&(a, b)| !space.is_open(quarters[a], quarters[b], scratch)).nth(1).is_some()
-        };
-        let is_free =
-            |scratch: &mut RayScratch, index: usize| space.is_free(point(index), scratch) && !is_parted(scratch, index);
         let cells = (0..lattice.cell_count()).into_par_iter();
-        let free: Vec<bool> = cells.map_init(RayScratch::default, is_free).collect();
+        let free: Vec<bool> =
+            cells.map_init(RayScratch::default, |scratch, index| space.is_free(point(index), scratch)).collect();
         let open = [0, 1].map(|axis| {
             let cells = (0..lattice.cell_count()).into_par_iter();
             let is_open = |scratch: &mut RayScratch, index: usize| {

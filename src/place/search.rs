@@ -6,8 +6,6 @@
 //! so that without a budget a change elsewhere changes nothing here; a budget is spent in the order of what a probe saves,
 //! which is global by its nature.
 
-use std::collections::BTreeMap;
-use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use glam::{DVec3, Vec3};
@@ -19,6 +17,7 @@ use super::levels::Height;
 use super::signal::{self, Signal};
 use super::sites::LevelSites;
 use super::triangulation::Share;
+use super::walls::Traced;
 use crate::trace::ray::RayScratch;
 
 /// Error of a site that nothing predicts; predictions count as at most as bad.
@@ -72,13 +71,12 @@ pub struct Chosen {
 
 /// Candidates and what they know of each other.
 pub struct Search<'a> {
-    space: &'a Space<'a>,
     levels: &'a [LevelSites],
     candidates: &'a [Candidate],
     budget: Budget,
     /// Per candidate: the sites near it that see it, with the error there if it alone were looked up.
     near: Vec<Vec<(usize, f64)>>,
-    sights: Mutex<BTreeMap<[u32; 2], bool>>,
+    openings: Traced<'a>,
 }
 
 impl<'a> Search<'a> {
@@ -104,13 +102,13 @@ impl<'a> Search<'a> {
             others.into_iter().map(error).collect()
         });
         let near = near.collect();
-        Self { space, levels, candidates, budget, near, sights: Mutex::default() }
+        Self { levels, candidates, budget, near, openings: Traced::new(space) }
     }
 
     /// The whole search: insertion, removal, exchange.
     pub fn run(&self) -> Chosen {
         let probes = self.candidates.iter().map(|candidate| (candidate.signal.position, candidate.signal.proxy));
-        let levels = self.levels.iter().map(|level| level.ground.with_probes(&[], |_, _| true)).collect();
+        let levels = self.levels.iter().map(|level| level.ground.with_probes(&[], &self.openings)).collect();
         let mut chosen = Chosen {
             probes: Vec::new(),
             network: Network { probes: probes.collect(), levels },
@@ -194,8 +192,8 @@ impl<'a> Search<'a> {
                 }
                 let mut without = chosen.clone();
                 self.change(&mut without, Some(probe), None);
-                let others = self.promising(&without, TRIES).into_par_iter().filter(|&other| other != probe);
-                let moved = others.map(|other| {
+                let others = self.promising(&without, TRIES + 1).into_iter().filter(|&other| other != probe);
+                let moved = others.take(TRIES).collect::<Vec<_>>().into_par_iter().map(|other| {
                     let mut moved = without.clone();
                     self.change(&mut moved, None, Some(other));
                     (self.total_excess(&moved), moved)
@@ -218,7 +216,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Removes and adds a probe, triangulates their levels anew, and judges the sites whose blend that changes.
+    /// Removes and adds a probe, triangulates all levels of their storeys anew, and judges the sites whose blend that changes.
     fn change(&self, chosen: &mut Chosen, remove: Option<usize>, add: Option<usize>) {
         chosen.probes.retain(|&probe| Some(probe) != remove);
         chosen.probes.extend(add);
@@ -230,7 +228,7 @@ impl<'a> Search<'a> {
                 let mut own: Vec<(u32, DVec3)> = own.map(|&i| (i as u32, self.candidates[i].signal.position)).collect();
                 // Whatever the order of insertion was.
                 own.sort_unstable_by_key(|(probe, _)| *probe);
-                *level = ground.with_probes(&own, |a, b| self.sees(a, b));
+                *level = ground.with_probes(&own, &self.openings);
             }
         });
         let Chosen { network, blends, errors, .. } = chosen;
@@ -255,18 +253,5 @@ impl<'a> Search<'a> {
 
     fn height_of(&self, candidate: usize) -> Height {
         self.levels[self.candidates[candidate].level].height
-    }
-
-    /// Whether light passes between two candidates.
-    fn sees(&self, a: u32, b: u32) -> bool {
-        let ends = [a.min(b), a.max(b)];
-        let sights = || self.sights.lock().unwrap_or_else(PoisonError::into_inner);
-        let known = sights().get(&ends).copied();
-        known.unwrap_or_else(|| {
-            let [from, to] = ends.map(|i| self.candidates[i as usize].signal.position);
-            let sees = self.space.is_open(from, to, &mut RayScratch::default());
-            sights().insert(ends, sees);
-            sees
-        })
     }
 }

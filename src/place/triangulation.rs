@@ -7,7 +7,7 @@
 //! stands in it: a probe is a vertex of the others, too, where these have none of their own above or below it.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BinaryHeap};
+use std::collections::BinaryHeap;
 
 use glam::{DVec2, DVec3};
 use schemars::JsonSchema;
@@ -17,6 +17,7 @@ use spade::{ConstrainedDelaunayTriangulation, HasPosition, Point2, PositionInTri
 
 use super::contours::Contours;
 use super::levels::Height;
+use super::walls::Openings;
 
 /// A border is blended of so many probes, the nearest along edges, ...
 const BORDER_PROBES: usize = 3;
@@ -24,6 +25,9 @@ const BORDER_PROBES: usize = 3;
 /// ... each by its way's length to the minus this (Shepard 1968): measured, 2 is less accurate with few probes, and a
 /// single probe makes steps in the middle of a wall.
 const BORDER_POWER: i32 = 4;
+
+/// A border's probes that would weigh less than this share of the nearest are left out: runtimes look up few at once.
+const LEAST_SHARE: f64 = 0.1;
 
 /// A probe's part in a blend.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -44,11 +48,11 @@ pub struct Vertex {
     pub position: DVec2,
     /// The probes that are blended here: of a probe's own vertex the probe alone.
     pub blend: Vec<Share>,
-    /// Whether a probe stands here.
+    /// Whether a probe stands here, at the level's height. One of another height of the storey may stand in.
     pub is_probe: bool,
 }
 
-/// The probes of one height, and how they are blended between.
+/// How probes are blended at one height.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Level {
@@ -56,31 +60,20 @@ pub struct Level {
     pub height: Height,
     /// Corners of the triangles.
     pub vertices: Vec<Vertex>,
-    /// Triangles in the plan, by their vertices. No triangle crosses a wall.
+    /// Triangles in the plan, by their vertices. A wall crosses none, or blocks the edges that it crosses.
     pub triangles: Vec<[u32; 3]>,
     /// Per triangle and corner: the triangle across the edge that is opposite to the corner; none behind a wall.
     pub neighbours: Vec<[Option<u32>; 3]>,
     /// Edges, by their vertices, that are borders of the free space.
     pub walls: Vec<[u32; 2]>,
-    /// Edges, by their vertices, whose probes do not see each other all the same, or whose triangle a wall parts.
+    /// Edges, by their vertices, that nothing is blended along: their probes do not see each other, or a wall crosses them.
     pub blocked: Vec<[u32; 2]>,
 }
 
-/// Which corners of a triangle its first, second and third edge join, the lower first.
-pub const EDGE_ENDS: [[usize; 2]; 3] = [[0, 1], [1, 2], [0, 2]];
+/// Which corners of a triangle the edge opposite to each of them joins.
+pub const EDGE_ENDS: [[usize; 2]; 3] = [[1, 2], [0, 2], [0, 1]];
 
 impl Level {
-    /// Blocks edges of triangles: per triangle and edge (by [`EDGE_ENDS`]), whether it is.
-    pub fn block(&mut self, edges: &[[bool; 3]]) {
-        let blocked = self.triangles.iter().zip(edges).flat_map(|(triangle, blocked)| {
-            let ends = EDGE_ENDS.map(|ends| sorted(ends.map(|corner| triangle[corner])));
-            ends.into_iter().zip(*blocked).filter(|(_, blocked)| *blocked).map(|(ends, _)| ends)
-        });
-        self.blocked.extend(blocked.collect::<Vec<_>>());
-        self.blocked.sort_unstable();
-        self.blocked.dedup();
-    }
-
     /// A level that serves nothing.
     fn empty(height: Height) -> Self {
         let (vertices, triangles, neighbours) = (Vec::new(), Vec::new(), Vec::new());
@@ -138,9 +131,8 @@ impl Ground {
     }
 
     /// Triangulates with the `probes` of the storey, given by index and position; without any at this height there are no
-    /// triangles. Where none of this height stands above or below another, that one stands in. `sees` says whether two of
-    /// them see each other.
-    pub fn with_probes(&self, probes: &[(u32, DVec3)], sees: impl Fn(u32, u32) -> bool) -> Level {
+    /// triangles. Where none of this height stands above or below another that is seen from here, that one stands in.
+    pub fn with_probes(&self, probes: &[(u32, DVec3)], openings: &dyn Openings) -> Level {
         let mut level = Level::empty(self.height);
         let away = |position: DVec3| (position.y - self.height.y).abs();
         if probes.iter().all(|(_, position)| away(*position) > 0.0) {
@@ -152,24 +144,14 @@ impl Ground {
         let mut triangles = self.triangles.clone();
         for (probe, position) in by_distance {
             let (place, is_own) = (DVec2::new(position.x, position.z), away(position) == 0.0);
-            // Positions come from the plan: finite, and not too small to be told from zero.
-            let _ = triangles.insert(Site { position: place, probe: Some(probe), is_own });
+            if is_own || openings.is_open(position, position.with_y(self.height.y)) {
+                // Positions come from the plan: finite, and not too small to be told from zero.
+                let _ = triangles.insert(Site { position: place, probe: Some(probe), is_own });
+            }
         }
-        let inside = inside(&triangles, &self.parts);
-        extract(&triangles, &inside, &mut level);
-        let probe_of: BTreeMap<u32, u32> = (0..)
-            .zip(&level.vertices)
-            .filter_map(|(i, vertex)| vertex.blend.first().map(|share| (i, share.probe)))
-            .collect();
+        extract(&triangles, &inside(&triangles, &self.parts), &mut level);
+        level.block_walls(probes, openings);
         blend_borders(&mut level, probes);
-        let mut edges: Vec<[u32; 2]> = level.triangles.iter().flat_map(|&t| edges_of(t)).map(sorted).collect();
-        edges.sort_unstable();
-        edges.dedup();
-        edges.retain(|[a, b]| match (probe_of.get(a), probe_of.get(b)) {
-            (Some(&a), Some(&b)) => !sees(a, b),
-            _ => false,
-        });
-        level.blocked = edges;
         level
     }
 }
@@ -200,11 +182,11 @@ fn inside(triangles: &Triangles, parts: &[DVec2]) -> Vec<bool> {
     inside
 }
 
-fn edges_of([a, b, c]: [u32; 3]) -> [[u32; 2]; 3] {
-    [[b, c], [c, a], [a, b]]
+fn edges_of(triangle: [u32; 3]) -> [[u32; 2]; 3] {
+    EDGE_ENDS.map(|ends| ends.map(|corner| triangle[corner]))
 }
 
-fn sorted([a, b]: [u32; 2]) -> [u32; 2] {
+pub fn sorted([a, b]: [u32; 2]) -> [u32; 2] {
     [a.min(b), a.max(b)]
 }
 
@@ -270,11 +252,12 @@ fn join(same: &mut [usize], a: usize, b: usize) {
     same[a.max(b)] = a.min(b);
 }
 
-/// Gives vertices without a probe that of the nearest along edges; parts without any probe take the nearest as the crow
+/// Gives vertices without a probe a blend of the nearest along edges that are not blocked; parts without any probe take the nearest as the crow
 /// flies.
 fn blend_borders(level: &mut Level, probes: &[(u32, DVec3)]) {
     let mut links = vec![Vec::new(); level.vertices.len()];
-    for [a, b] in level.triangles.iter().flat_map(|&triangle| edges_of(triangle)) {
+    let edges = level.triangles.iter().flat_map(|&triangle| edges_of(triangle));
+    for [a, b] in edges.filter(|&edge| level.blocked.binary_search(&sorted(edge)).is_err()) {
         links[a as usize].push(b);
         links[b as usize].push(a);
     }
@@ -307,7 +290,7 @@ fn blend_borders(level: &mut Level, probes: &[(u32, DVec3)]) {
         let crow = || probes.iter().min_by(|a, b| a.1.distance_squared(at).total_cmp(&b.1.distance_squared(at)));
         let least = reached.first().map_or(1.0, |first| first.1);
         let shares = reached.iter().map(|&(probe, way)| Share { probe, weight: (least / way).powi(BORDER_POWER) });
-        let mut blend: Vec<Share> = shares.collect();
+        let mut blend: Vec<Share> = shares.filter(|share| share.weight >= LEAST_SHARE).collect();
         if blend.is_empty() {
             blend.extend(crow().map(|probe| Share { probe: probe.0, weight: 1.0 }));
         }
@@ -321,6 +304,7 @@ fn blend_borders(level: &mut Level, probes: &[(u32, DVec3)]) {
 mod tests {
     use super::*;
     use crate::place::plan::tests::drawn;
+    use crate::place::walls::Air;
 
     const HEIGHT: Height = Height { y: 1.5, floor: 0.0, ceiling: 2.5 };
 
@@ -329,7 +313,7 @@ mod tests {
         let all: Vec<usize> = (0..plan.lattice.cell_count()).collect();
         let parts = plan.groups(&all).iter().map(|group| plan.lattice.centre(group[0])).collect();
         let probes: Vec<_> = (0..).zip(probes.iter().map(|&[x, z]| DVec3::new(x, 1.5, z))).collect();
-        Ground::new(HEIGHT, &Contours::of(&plan), parts).with_probes(&probes, |_, _| true)
+        Ground::new(HEIGHT, &Contours::of(&plan), parts).with_probes(&probes, &Air)
     }
 
     fn corners(level: &Level, triangle: [u32; 3]) -> [DVec2; 3] {
@@ -403,13 +387,18 @@ mod tests {
         let level = level(&["................"], &[[0.5, 0.12], [2.0, 0.12], [3.5, 0.12]]);
         for vertex in level.vertices.iter().filter(|vertex| !vertex.is_probe) {
             let sum: f64 = vertex.blend.iter().map(|share| share.weight).sum();
-            assert!((sum - 1.0).abs() < 1e-12 && vertex.blend.len() == 3);
+            assert!((sum - 1.0).abs() < 1e-12);
             let nearest = if vertex.position.x < 2.0 { 0 } else { 2 };
             let heaviest = vertex.blend.iter().max_by(|a, b| a.weight.total_cmp(&b.weight)).unwrap();
             assert_eq!(heaviest.probe, nearest, "{vertex:?}");
             // Half a metre against two at the least, by the fourth power.
-            assert!(heaviest.weight > 0.99);
+            assert!(vertex.position.x > 1.0 && vertex.position.x < 3.0 || heaviest.weight == 1.0);
         }
+        let level = self::level(&["........"], &[[0.5, 0.12], [1.5, 0.12]]);
+        let beside = level.vertices.iter().find(|vertex| vertex.position.x < 0.1 && vertex.position.y < 0.1).unwrap();
+        // The way to the other is 1 m longer.
+        let way = DVec2::new(0.5, 0.12).distance(beside.position);
+        assert!((1.0 + 1.0 / way).powi(-4) < LEAST_SHARE && beside.blend.len() == 1, "{beside:?}");
     }
 
     #[test]
@@ -422,7 +411,7 @@ mod tests {
         let at = |x: f64, y: f64| DVec3::new(x, y, 0.5);
         let probes = [(0, at(0.5, 0.6)), (1, at(1.5, 0.6)), (2, at(1.5, 1.6)), (3, at(1.0, 1.6)), (4, at(1.0, 2.6))];
         let stands = |y: f64| -> Vec<(u32, bool)> {
-            let level = ground(y).with_probes(&probes, |_, _| true);
+            let level = ground(y).with_probes(&probes, &Air);
             let places = level.vertices.iter().filter(|vertex| vertex.position.y == 0.5);
             let mut stands: Vec<_> = places.map(|vertex| (vertex.blend[0].probe, vertex.is_probe)).collect();
             stands.sort_unstable();
@@ -432,18 +421,6 @@ mod tests {
         assert_eq!(stands(1.6), [(0, false), (2, true), (3, true)]);
         assert_eq!(stands(2.6), [(0, false), (2, false), (4, true)]);
         // Without a probe of its own a level has nothing to add.
-        assert_eq!(ground(1.1).with_probes(&probes, |_, _| true), Level::empty(Height { y: 1.1, ..HEIGHT }));
-    }
-
-    #[test]
-    fn an_edge_whose_probes_do_not_see_each_other_is_blocked() {
-        let plan = drawn(&["........"; 4]);
-        let ground = Ground::new(HEIGHT, &Contours::of(&plan), vec![plan.lattice.centre(0)]);
-        let probes = [(0, DVec3::new(0.5, 1.5, 0.5)), (1, DVec3::new(1.5, 1.5, 0.52))];
-        assert_eq!(ground.with_probes(&probes, |_, _| true).blocked.len(), 0);
-        let level = ground.with_probes(&probes, |_, _| false);
-        let [[a, b]] = level.blocked[..] else { panic!("{:?}", level.blocked) };
-        let ends = [a, b].map(|vertex| level.vertices[vertex as usize].blend[0].probe);
-        assert!(ends == [0, 1] || ends == [1, 0]);
+        assert_eq!(ground(1.1).with_probes(&probes, &Air), Level::empty(Height { y: 1.1, ..HEIGHT }));
     }
 }

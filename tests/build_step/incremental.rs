@@ -9,6 +9,7 @@ use splatprobe::job::{Job, MeshInput, Placement, SplatInput};
 use splatprobe::{Error, pipeline};
 
 use crate::cli::contents;
+use crate::common::gltf::File;
 use crate::scenes::{assert_same, demo, few, json, run, stats, write_picture};
 
 const GRID: &str = "bake --splats room.ply --mesh lamp.glb --mesh-transform t=3.2,0,0.6 --grid 3,3,3 --face-size 24";
@@ -114,23 +115,30 @@ fn a_changed_picture_beside_a_mesh_is_seen_and_unlit_tiles_elsewhere_are_kept() 
 #[test]
 fn light_that_is_the_same_after_all_takes_the_files_it_had() {
     let folder = few();
-    let bake = "bake --splats few.ply --probe 0,0,0 --face-size 64 --mesh square.glb --mesh-transform t=";
-    let bake_and_count = |line: &str| {
-        let stats = stats(folder.path(), line);
-        let kept: serde_json::Value = serde_json::from_slice(&run(folder.path(), "cache stats kept").stdout).unwrap();
-        (stats["rays"].as_u64().unwrap(), kept["bytes"].as_u64().unwrap())
+    // Facing away, it is not seen: wherever it moves, tiles are traced again for nothing.
+    std::fs::write(folder.path().join("away.glb"), File::square().glb()).unwrap();
+    let bake = "bake --splats few.ply --probe 0,0,0 --face-size 64 --outputs strip,mips --pixel float --mesh away.glb";
+    let backs = |out: &str| {
+        json(&folder.path().join(out).join("manifest.json"))["probes"][0]["statistics"]["hiddenBacks"].clone()
     };
-    // Probes do not see backs: wherever the square shows its own, its tiles are traced again for nothing.
-    let (_, first) = bake_and_count(&format!("{bake}-1,0,0 --outputs strip,mips --pixel float --cache kept -o out"));
-    let (rays, second) =
-        bake_and_count(&format!("{bake}-2,0,0 --outputs strip,mips --pixel float --cache kept -o out"));
+    let bake_and_count = |place: &str| {
+        let stats = stats(folder.path(), &format!("{bake} --mesh-transform t=-0.5,-0.5,{place} --cache kept -o out"));
+        let kept: serde_json::Value = serde_json::from_slice(&run(folder.path(), "cache stats kept").stdout).unwrap();
+        (stats["rays"].as_u64().unwrap(), kept["bytes"].as_u64().unwrap(), backs("out"))
+    };
+    let (_, first, far) = bake_and_count("2");
+    let (rays, second, near) = bake_and_count("0.4");
     let size = |name: &str| std::fs::metadata(folder.path().join("out/probe_000").join(name)).unwrap().len();
     let files = size("radiance.exr") + size("specular.exr") + size("preview.png");
     let radiance = 6 * 64 * 64 * 16;
     println!("{rays} rays; the cache grew from {first} to {second} bytes; files {files}, radiance {radiance}");
     assert!(rays > 0 && second - first < radiance + files / 2);
-    run(folder.path(), &format!("{bake}-2,0,0 --outputs strip,mips --pixel float --no-cache -o clean"));
+    // What is told of it all the same is of now.
+    assert_ne!(far, near);
+    run(folder.path(), &format!("{bake} --mesh-transform t=-0.5,-0.5,0.4 --no-cache -o clean"));
     assert_same(folder.path(), "out", "clean");
+    stats(folder.path(), &format!("{bake} --mesh-transform t=-0.5,-0.5,2 --cache kept -o again"));
+    assert_eq!(backs("again"), far);
 }
 
 #[test]

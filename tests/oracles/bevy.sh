@@ -4,16 +4,15 @@
 #
 #   tests/oracles/bevy.sh [splatprobe] [folder for the tools] [folder for the pictures]
 #
-# Needs a Vulkan driver with binding arrays, without which Bevy ignores light probes: Mesa 25's lavapipe and Chromium's
-# SwiftShader have them, Debian 12's own Mesa 22 has not. VK_DRIVER_FILES picks the driver; unset, it is Chromium's where that is
-# installed. Needs the network the first time, and then minutes to build Bevy; nothing is built inside the repository.
+# Needs cargo, a Vulkan driver with binding arrays, without which Bevy ignores light probes, and the network the first time,
+# when Bevy is built for some minutes; nothing is built inside the repository. Mesa's lavapipe will do, of Debian 13 or of
+# Debian 12's backports (25.0); Debian 12's own (22.3) has no such arrays, and in SwiftShader (Chromium 136) balls stay black.
+# VK_DRIVER_FILES picks a driver.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 splatprobe=${1:-$here/../../target/debug/splatprobe}
 tools=${2:-${TMPDIR:-/tmp}/splatprobe-oracles-bevy}
 pictures=${3:-$tools/pictures}
-swiftshader=/usr/lib/chromium/vk_swiftshader_icd.json
-[ -n "${VK_DRIVER_FILES:-}" ] || [ ! -f $swiftshader ] || export VK_DRIVER_FILES=$swiftshader
 
 app=$tools/app
 mkdir -p "$app/src"
@@ -35,7 +34,7 @@ for placement in demo room; do
         CARGO_TARGET_DIR=$tools/target cargo build --quiet --manifest-path "$app/Cargo.toml"
         mkdir -p "$pictures/$placement-$light"
         echo "$placement, $light light"
-        RUST_LOG=${RUST_LOG:-warn} timeout 300 "$tools/target/debug/bevy-oracle" "$bake" "$bake-export" \
+        RUST_LOG=${RUST_LOG:-error} timeout 300 "$tools/target/debug/bevy-oracle" "$bake" "$bake-export" \
             "$pictures/$placement-$light"
     done
 done

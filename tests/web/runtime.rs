@@ -76,7 +76,10 @@ fn level(y: f64, [floor, ceiling]: [f64; 2], first: u32) -> Level {
 
 #[test]
 fn triangles_and_levels_weigh_as_in_the_crate() {
-    let levels = vec![level(1.0, [0.0, 2.5], 0), level(2.0, [0.0, 2.5], 3), level(4.0, [3.0, 5.0], 6)];
+    let mut levels = vec![level(1.0, [0.0, 2.5], 0), level(2.0, [0.0, 2.5], 3), level(4.0, [3.0, 5.0], 6)];
+    // A corner that is kept from one which does not count itself, and corners that are all kept apart.
+    levels[1].blocked = vec![[0, 1], [1, 2]];
+    levels[2].blocked = vec![[0, 1], [0, 2], [1, 2], [1, 3], [2, 3]];
     let input = json!({ "probes": [], "placement": { "levels": levels }, "positions": positions() });
     let Some(found) = run("output = input.positions.map((position) => weights(input, position));", &input) else {
         return;

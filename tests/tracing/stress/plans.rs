@@ -5,6 +5,7 @@ use splatprobe::place::Network;
 use splatprobe::place::contours::Contours;
 use splatprobe::place::levels::Height;
 use splatprobe::place::triangulation::Ground;
+use splatprobe::place::walls::Air;
 
 use super::{Row, worse};
 use crate::common::Random;
@@ -67,7 +68,7 @@ fn worst(points: &[DVec2], scale: f64, offset: DVec2) -> f64 {
     let height = Height { y: 1.5, floor: 0.0, ceiling: 3.0 };
     let parts = vec![place(DVec2::new(5.03, 4.91))];
     let network = Network {
-        levels: vec![Ground::new(height, &contours, parts).with_probes(&probes, |_, _| true)],
+        levels: vec![Ground::new(height, &contours, parts).with_probes(&probes, &Air)],
         ..Network::default()
     };
     let level = &network.levels[0];
