@@ -11,10 +11,10 @@ use super::triangulation::{EDGE_ENDS, Level, sorted};
 use crate::trace::ray::RayScratch;
 
 /// Walls are looked for between points so far from a triangle's centre toward its corners, which lie on walls.
-const BETWEEN: f64 = 0.5;
+const BETWEEN: [f64; 3] = [0.45, 0.6, 0.75];
 
 /// They are checked for elsewhere.
-const CHECKED_BETWEEN: f64 = 0.7;
+const CHECKED_BETWEEN: f64 = 2.0 / 3.0;
 
 /// Where light passes, in world space.
 pub trait Openings: Sync {
@@ -90,7 +90,8 @@ impl Level {
         let blocked = (0..self.triangles.len()).into_par_iter().flat_map_iter(|triangle| {
             let corners = self.triangles[triangle];
             let positions = corners.map(|vertex| at(vertex as usize));
-            let parted = self.parted(triangle, BETWEEN, openings);
+            let parted = BETWEEN.map(|outward| self.parted(triangle, outward, openings));
+            let parted = [0, 1, 2].map(|edge| parted.iter().any(|parted| parted[edge]));
             EDGE_ENDS.into_iter().zip(parted).filter_map(move |([a, b], parted)| {
                 let is_hidden = || positions[a].zip(positions[b]).is_some_and(|(a, b)| !openings.is_open(a, b));
                 (parted || is_hidden()).then(|| sorted([corners[a], corners[b]]))

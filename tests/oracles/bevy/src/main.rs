@@ -35,6 +35,10 @@ use crate::bake::{Map, Source, look_up};
 /// Largest root of the mean squared difference, in 255ths of what a display shows.
 const LIMIT: f64 = 2.0;
 
+/// The same against the bake where the exporter resamples at the same face size, which costs sharpness: up to 7.3 where
+/// calibration marks have edges. The room's plugin on the demo is more than 50 off.
+const RESAMPLED_LIMIT: f64 = 8.0;
+
 /// Edge of a picture.
 const SIZE: usize = 256;
 
@@ -91,9 +95,10 @@ fn main() {
         add("aside", toward(1, DVec3::new(0.2, 0.3, 0.4)), Finish::Mirror);
         add("rough", toward(0, DVec3::new(0.3, 0.4, 0.2)), Finish::Rough);
     }
-    // Off the middle of a cube the exporter resamples, which costs mirrors sharpness: then the exported map alone counts.
+    // In the middle of a cube the exporter keeps the texels.
     let is_resampled = !probes.iter().all(bake::Probe::is_in_the_middle_of_a_cube);
-    let mut worst: f64 = 0.0;
+    let bake_limit = if is_resampled { RESAMPLED_LIMIT } else { LIMIT };
+    let mut failed = Vec::new();
     for (Ball { name, middle, finish }, bytes) in render(&mut app) {
         let found = shown(&bytes);
         let look_up = |source, map, at, toward| look_up(&probes, source, map, at, toward);
@@ -112,18 +117,19 @@ fn main() {
         println!(
             "bevy-{name}: {bake:.3} / 255, {most} at most; of the exported map {export:.3}, {most_of_export} at most"
         );
-        let is_mirror = matches!(finish, Finish::Mirror);
-        if is_mirror {
+        if let Finish::Mirror = finish {
             let ideal = ball(middle, |at, _, toward| look_up(Source::Bake, Map::Sharp, at, toward));
             println!("  an ideal mirror: {:.3}", difference(&found, &ideal).0);
         }
-        worst = worst.max(export);
-        if !(is_mirror && is_resampled) {
-            worst = worst.max(bake);
+        if bake > bake_limit || export > LIMIT {
+            failed.push(name);
         }
     }
-    if worst > LIMIT {
-        fail(format!("{worst:.3} / 255 is more than {LIMIT}"));
+    if !failed.is_empty() {
+        fail(format!(
+            "more than {bake_limit} / 255 from the bake or {LIMIT} from the exported map: {}",
+            failed.join(", ")
+        ));
     }
 }
 
