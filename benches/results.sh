@@ -55,7 +55,7 @@ footprint() {
 }
 
 prefilter() {
-    page prefilter "Prefiltering" "A chain of seven mips of a 256 px cubemap, and its error against brute force."
+    page prefilter "Prefiltering" "A chain of seven mips of a 256 px cubemap, and its error against brute force; that of three.js beside it."
     run cargo bench --bench filter
     [ -d "$tools/web/node_modules/three" ] ||
         npm install --silent --prefix "$tools/web" playwright-core ktx-parse zstddec three@0.187.0
