@@ -128,7 +128,7 @@ tab.on('request', (request) => requests.push(request.url()));
 await tab.goto(pathToFileURL(preview).href);
 await tab.waitForTimeout(2000);
 assert.deepEqual(requests, [pathToFileURL(preview).href], 'the page asks for something');
-await tab.screenshot({ path: path.join(pictures, 'preview.png'), fullPage: true });
+await tab.screenshot({ path: path.join(pictures, 'preview-page.png'), fullPage: true });
 const found = await pixelsOf(tab, '.card canvas', 0, 372, 160);
 const expected = mirrorBall({ manifest, lookUps, shares: [{ probe: 0, weight: 1 }], position: a, radius: 0, size: 160, fill: 0.96 });
 judge('preview', 160, found, expected);
